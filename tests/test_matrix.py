@@ -13,6 +13,7 @@ from aedat31_bytes import aedat31_file
 
 import pdavis_cv
 from pdavis_cv import ApsFrame, Layout, VideoCapture, batch, open_recording
+from pdavis_cv.fusion import Fusion
 from pdavis_cv.recording.registry import FORMATS
 from pdavis_cv.registry import loaded
 from pdavis_cv.tools.main import main
@@ -242,6 +243,18 @@ def test_light_of_an_unknown_exposure_is_in_dn(tmp_path, capsys, stated, unit):
     with np.load(tmp_path / "images.npz") as file:
         units = json.loads(str(file["provenance"]))["units"]
     assert (units["i0"], units["dolp"]) == (unit, "1")
+
+
+@pytest.mark.parametrize(("stated", "assumed"), [
+    ({"method": "cf"}, True), ({"method": "events"}, True),
+    ({"method": "frames"}, False),                              # uses none
+    ({"method": "kalman"}, False),                              # learns them
+    ({"method": "cf", "thresholds": (0.3, 0.3)}, False),
+    ({"method": "cf", "thresholds": "nominal"}, False),
+    ({"method": "cf", "nominal_thresholds": (0.16, 0.18)}, False)])
+def test_thresholds_that_nobody_stated_are_assumed(stated, assumed):
+    found = Fusion(light(), layout=Layout.PDAVIS, **stated).provenance["assumed"]
+    assert found == (["thresholds assumed (ON 0.2, OFF 0.2)"] if assumed else [])
 
 
 def test_an_assumed_rate_is_said_beside_what_it_changes(tmp_path, capsys):

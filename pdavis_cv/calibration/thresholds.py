@@ -1,6 +1,7 @@
 """Choose the contrast thresholds of the event pixels."""
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping
 
@@ -9,8 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.recording.base import Source
+from pdavis_cv.recording.facts import ASSUMED, CALIBRATION, CALLER, FILE
+from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 
-__all__ = ["checked_choice", "resolve_thresholds", "thresholds_from_biases"]
+__all__ = ["checked_choice", "resolve_thresholds", "threshold_origin",
+           "thresholds_from_biases"]
 
 # kappa_n / (kappa_p^2 C1/C2) with kappa_n = kappa_p = 0.7 and C1/C2 = 20: Nozaki and
 # Delbruck, "Temperature and parasitic photocurrent effects in dynamic vision
@@ -61,6 +65,24 @@ def checked_choice(
         raise ValueError(
             f"thresholds must be {', '.join(map(repr, _CHOICES))} or (on, off), got "
             f"{thresholds!r}")
+
+
+def threshold_origin(
+    recording: Source, thresholds: str | tuple[ArrayLike, ArrayLike] | None,
+    nominal: tuple[ArrayLike, ArrayLike], calibration: Calibration | None,
+) -> str:
+    """Return where the thresholds of `resolve_thresholds` come from (see `Fact`)."""
+    if thresholds is not None and thresholds not in ("in-situ", "bias", "calibration"):
+        return CALLER
+    if thresholds != "bias" and calibration is not None and (
+            calibration.theta_on is not None):
+        return CALIBRATION
+    with contextlib.suppress(ValueError):
+        thresholds_from_biases(recording.info.biases)
+        return FILE
+    same = all(np.ndim(one) == 0 for one in nominal) and (
+        tuple(nominal) == NOMINAL_THRESHOLDS)
+    return ASSUMED if same else CALLER
 
 
 def resolve_thresholds(

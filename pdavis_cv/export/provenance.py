@@ -6,7 +6,7 @@ import json
 import os
 import struct
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -39,7 +39,7 @@ def light_unit(recording: Recording) -> str:
     return "DN" if frame is not None and not frame.exposure_ms else INTENSITY
 
 
-def units(names: Iterable[str], recording: Recording) -> dict[str, str]:
+def units(names: Sequence[str], recording: Recording) -> dict[str, str]:
     """Return the units of quantities; that of intensities depends on the recording."""
     light = light_unit(recording)
     return {one.name: light if one.unit == INTENSITY else one.unit

@@ -61,7 +61,8 @@ def chosen_sensor(layout: Layout | str | None, source: Source) -> Sensor | None:
 
 
 def facts_used(
-    source: Source, options: FusionOptions, layout: Layout, sensor: Sensor | None
+    source: Source, options: FusionOptions, layout: Layout, sensor: Sensor | None,
+    thresholds: Fact | None,
 ) -> dict[str, Fact]:
     """Return the facts on which fused images rest, each with its origin."""
     known, calibration = source.info.facts, options.calibration
@@ -74,6 +75,8 @@ def facts_used(
     if sensor is not None:
         same = source.info.sensor == sensor
         facts["sensor"] = Fact(sensor, known["sensor"].origin if same else CALLER)
+    if thresholds is not None:
+        facts["thresholds"] = thresholds
     return facts
 
 

@@ -128,8 +128,9 @@ class Fusion:
             "extinction_ratio": ratio, "demosaic": options.demosaic, "roi": roi,
             "calibration": options.calibration and options.calibration.identity,
             "source": str(recording.path) if recording.path else info.format,
-            "assumed": assumptions(
-                facts_used(recording, options, self.layout, sensor))})
+            "assumed": assumptions(facts_used(
+                recording, options, self.layout, sensor, self._learning.thresholds
+                if "theta_on" in probe.parameters else None))})
         self._reset()
 
     def _probe_method(self) -> tuple[Reconstructor, dict[str, Any]]:

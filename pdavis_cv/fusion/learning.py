@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv._types import Parameters
 from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.calibration.model import Calibration
-from pdavis_cv.calibration.thresholds import resolve_thresholds
+from pdavis_cv.calibration.thresholds import resolve_thresholds, threshold_origin
 from pdavis_cv.fusion.feed import Feed
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.fusion.tuning import Tuning
@@ -26,6 +26,7 @@ from pdavis_cv.reconstruct.kalman import CALIBRATED_NOISE, NOISE
 from pdavis_cv.reconstruct.lamp import LampTracker
 from pdavis_cv.reconstruct.redundancy import RATIO_SIGMA
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
+from pdavis_cv.recording.facts import MEASURED, Fact
 from pdavis_cv.selfcal import (
     LEAK_HZ,
     TYPICAL_BANDWIDTH,
@@ -117,6 +118,10 @@ class Learning:
             wanted if source.info.frame_count != 0
             else wanted & OF_EVENTS & (needs.learned | {"event_scale"}))
         self.uses_frames = not self.wanted <= OF_EVENTS
+        self.thresholds = Fact((on, off), MEASURED if self.wanted & {
+            "scale", "thresholds"} else threshold_origin(
+                source, options.thresholds, options.nominal_thresholds,
+                self._calibration))
         self._stated = _stated_bandwidth(self._calibration)
         if "bandwidth" in wanted:
             # Images follow before any estimate: start from a typical camera's value.
