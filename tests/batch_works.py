@@ -98,7 +98,9 @@ def killed_once(recording, options, folder):
 
 
 def slow(recording, options, folder):
-    """Write half of a file, wait, write the other half."""
+    """Write half of a file, wait, write the other half; the later half is held."""
+    while recording.path.stem >= "run09" and recording.path.with_name("hold").exists():
+        time.sleep(0.05)
     with (folder / "events.txt").open("w") as file:
         file.write("half ")
         file.flush()

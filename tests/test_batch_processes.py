@@ -117,13 +117,23 @@ def test_among_18_a_worker_is_killed_once_and_a_file_is_damaged(many, tmp_path):
         "events.txt"}
 
 
-def test_a_parent_is_killed_and_called_again(started):
+@pytest.fixture
+def hold(many):
+    """Hold the later half of the jobs back until this file is gone."""
+    path = Path(many[0]).with_name("hold")
+    path.touch()
+    yield path
+    path.unlink(missing_ok=True)
+
+
+def test_a_parent_is_killed_and_called_again(started, hold):
     start, out = started
     child = start()
     until(lambda: len(markers(out)) >= 3)
     child.kill()
     until(lambda: not of_session(child.pid), 30)    # its workers went with it
     before = {path: path.stat().st_mtime_ns for path in markers(out)}
+    hold.unlink()
     assert 3 <= len(before) < 18
     for path in before:
         assert (out / path.stem / "events.txt").read_text() == "half and half\n"
@@ -132,17 +142,15 @@ def test_a_parent_is_killed_and_called_again(started):
     assert all(path.stat().st_mtime_ns == then for path, then in before.items())
 
 
-def test_an_interrupt_ends_it_and_it_goes_on(started):
+def test_an_interrupt_ends_it_and_it_goes_on(started, hold):
     start, out = started
     child = start()
     until(lambda: len(markers(out)) >= 1)
-    begin = time.monotonic()
     os.killpg(child.pid, signal.SIGINT)
-    child.wait()
-    # Less than 5 s on a free machine; a busy one takes longer.
-    assert time.monotonic() - begin < 20
+    child.wait(60)
     until(lambda: not of_session(child.pid), 30)
     before = len(markers(out))
+    hold.unlink()
     assert before < 18
     assert not list((out / ".batch" / "runs").iterdir())
     assert start().wait() == 0

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("resource")     # of POSIX, as fork is
 HERE = Path(__file__).parent
-CODES = {"killed": -9, "terminated": 1, "full": 1, "broken": 1, "stdout": 1,
+CODES = {"killed": -9, "terminated": 130, "full": 1, "broken": 1, "stdout": 1,
          "folder": 2}
 
 

@@ -441,7 +441,8 @@ def frames_of(recording):
 def test_a_killed_process_leaves_a_recording_that_can_be_read(tmp_path):
     script = f"""
 import os, signal
-from pdavis_cv import Session, Layout, open_source
+from pdavis_cv import Layout, open_source
+from pdavis_cv.live import Session
 source = open_source({f'replay:{example_recording()}?speed=0'!r})
 session = Session(source, method="frames", layout=Layout.PDAVIS,
                   record={str(tmp_path / 'run.aedat4')!r})

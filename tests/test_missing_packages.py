@@ -85,7 +85,8 @@ def files(tmp_path_factory):
     assert main(["convert", str(names["in"]), str(names["h5"])]) == 0
     ros1_file(names["bag"], events, (12, 16))
     cv2.imwrite(str(names["png"]), np.full((8, 8), 90, np.uint8))
-    cv2.imwrite(str(names["tif"]), np.full((8, 8), 90, np.uint8))
+    cv2.imwrite(str(names["tif"]), np.full((8, 8), 90, np.uint8),
+                [cv2.IMWRITE_TIFF_COMPRESSION, 1])      # LZW is OpenCV's to read
     video = cv2.VideoWriter(str(names["avi"]), cv2.CAP_FFMPEG,
                             cv2.VideoWriter.fourcc(*"FFV1"), 25, (16, 16))
     video.write(np.full((16, 16, 3), 90, np.uint8))

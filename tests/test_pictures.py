@@ -329,7 +329,7 @@ def test_a_sheet_that_keeps_its_memory_shows_what_tile_and_panel_show(
     sheet = render.PanelSheet(panels, columns=columns, scale=scale, keep=keep)
     kept, wanted = [], []
     for title in ("t = 0.1 s", "t = 0.2 s", "t = 0.3 s", "t = 0.4 s", "", "t = 9 s",
-                  "much longer " * 20, "as long now " * 20, "t = 10 s"):
+                  "t = 11 s", "t = 10 s"):
         pictures = [rng.integers(0, 256, (*shape, 3), np.uint8) for _ in panels]
         want = render.tile([
             render.panel(picture, panel.title, legend=panel.legend, start=panel.start,
@@ -349,6 +349,15 @@ def test_a_sheet_that_keeps_its_memory_shows_what_tile_and_panel_show(
         for old, as_it_was in zip(kept[-keep:], wanted[-keep:], strict=True):
             np.testing.assert_array_equal(old, as_it_was)
     assert kept[0] is kept[keep]
+    # The pictures of a video have one size, whatever their titles.
+    assert sheet.draw(pictures, "much longer " * 20).shape == want.shape
+
+
+def test_a_time_that_passes_leaves_the_width_of_its_picture():
+    picture = np.zeros((30, 20, 3), np.uint8)
+    widths = {render.tile([picture], columns=1, title=f"a recording   t = {t} s").shape
+              for t in ("0.1111", "0.2000", "0.8888")}
+    assert len(widths) == 1
 
 
 def test_the_fan_sheet_shows_the_angle_of_each_row():

@@ -102,10 +102,16 @@ def test_stated_thresholds_that_hold_are_known_as_well_as_chip_and_scale(
     assert np.all(told.provenance["parameters"]["threshold_sigma"] == THRESHOLD_SIGMA)
 
 
+def unweighed(degree, log, variance, valid, workers, out=None):
+    """Leave each image its own degree."""
+    if out is not None:
+        np.copyto(out, log)
+
+
 @pytest.mark.gate
 def test_live_what_wrong_stamps_taught_the_thresholds_is_soon_replaced(monkeypatch):
     """At 30 RPM and frames 10 ms early: DoLP of each image by itself."""
-    monkeypatch.setattr(LastingDegree, "weigh", lambda *_: None)
+    monkeypatch.setattr(LastingDegree, "weigh", unweighed)
     errors = {"learned": [], "of any scale": []}
     for seed in (14, 15, 16):
         recording, truth = Camera.preset(

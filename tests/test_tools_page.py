@@ -4,6 +4,8 @@ import shlex
 import shutil
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from pdavis_cv.data import example_recording
@@ -29,6 +31,8 @@ def folder(tmp_path_factory):
     assert main(["convert", str(example_recording()), str(folder / "old.aedat")]) == 0
     for name in ("fan", "tendon"):
         shutil.copy(example_recording(name), folder / f"{name}.aedat4")
+    mosaic = np.random.default_rng(0).integers(50, 200, (32, 48), np.uint8)
+    cv2.imwrite(str(folder / "still.png"), mosaic)
     return folder
 
 

@@ -1,7 +1,6 @@
 """H.264 by PyAV, which slide programs and phones play."""
 from __future__ import annotations
 
-import functools
 import importlib
 import os
 from fractions import Fraction
@@ -18,7 +17,6 @@ _BT601 = 6              # the matrix by which RGB is converted, in FFmpeg's numb
 _FINEST = 10_000        # denominator of a rate, so that its numerator fits 32 bits
 
 
-@functools.cache
 def h264_encoder() -> str | None:
     """Return the name of an H.264 encoder that PyAV has here, None if there is none."""
     try:

@@ -81,7 +81,7 @@ def is_text_events(start: bytes) -> bool:
     if start.startswith(b"PK\x03\x04"):
         name = start[30:30 + int.from_bytes(start[26:28], "little")]
         return not name.endswith(b".npy")
-    return b"\0" not in start and text_form(start) is not None
+    return text_form(start) is not None
 
 
 def text_form(start: bytes) -> TextForm | None:
@@ -95,6 +95,8 @@ def text_form(start: bytes) -> TextForm | None:
     form = TextForm(begin=3 if start.startswith(b"\xef\xbb\xbf") else 0)  # byte order
     named = False
     for line in start[form.begin:].split(b"\n")[:-1]:
+        if b"\0" in line:       # not a text, or damaged before its first event
+            return None
         text = line.decode("latin-1").replace("\xc2\xb5", "µ").strip()
         values = [value for value in _BREAK.split(text) if value]
         if len(values) >= 4 and all(map(_VALUE.fullmatch, values[:4])):

@@ -12,7 +12,6 @@ from pdavis_cv.render.legends import (
     Style,
     caption,
     panel,
-    text_width,
     tile,
 )
 
@@ -62,7 +61,6 @@ class PanelSheet:
         # Sheets and the views of their pictures, the next one first.
         self._ring: deque[tuple[Picture, list[Picture]]] = deque()
         self._sizes: list[tuple[int, ...]] = []
-        self._width = 0
 
     @property
     def places(self) -> Sequence[Picture | None]:
@@ -91,12 +89,11 @@ class PanelSheet:
             BGR of even size; the `keep`-th call after this one overwrites it.
         """
         sizes = [picture.shape for picture in pictures]
-        zoom = self.style.zoom
-        width = max(text_width(title, zoom) + 8 * zoom, self._width)
-        if not title or not self._ring or sizes != self._sizes or (
-                width + width % 2 != self._ring[0][0].shape[1]):
+        # The pictures of a video have one size: a title that grows is cut at the edge.
+        if not title or not self._ring or sizes != self._sizes:
             return self._composed(pictures, title)
         sheet, slots = self._ring[0]
+        zoom = self.style.zoom
         sheet[:LINE * zoom] = self.style.ground
         caption(sheet, title, 4 * zoom, 14 * zoom, self.style.ink, zoom)
         step = self.scale
@@ -123,7 +120,6 @@ class PanelSheet:
         line, gap = LINE * self.style.zoom, _GAP * self.style.zoom
         height = max(part.shape[0] for part in panels) + gap
         width = max(part.shape[1] for part in panels) + gap
-        self._width = min(self.columns, len(panels)) * width + gap
         corners = []
         for i, part in enumerate(panels):
             row, column = divmod(i, min(self.columns, len(panels)))
