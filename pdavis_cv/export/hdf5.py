@@ -1,7 +1,6 @@
 """HDF5 stacks with one dataset per quantity."""
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +8,8 @@ import numpy as np
 
 from pdavis_cv.export.provenance import to_json
 from pdavis_cv.export.stacks import HEADER, StackFile
+from pdavis_cv.recording.hdf5.reader import h5py_module
+from pdavis_cv.recording.hdf5.sink import written
 
 __all__ = ["Hdf5File"]
 
@@ -28,12 +29,7 @@ class Hdf5File(StackFile):
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        try:
-            import h5py
-        except ImportError:
-            raise ImportError(
-                "HDF5 needs h5py: pip install h5py") from None
-        self._h5py = h5py
+        h5py_module()       # if it is missing, before anything is computed
         super().__init__(*arguments, **options)
 
     def _finish(self) -> Path:
@@ -42,9 +38,7 @@ class Hdf5File(StackFile):
             self.count, len(self.quantities), height, width))
         part = self.part
         try:
-            # h5py raises again when it closes a file that it could not write.
-            with contextlib.closing(_File(self._h5py, part)) as target:
-                file = target.file
+            with written(part) as file:
                 file.attrs["provenance"] = to_json(self.facts)
                 if self.pixel_um is not None:
                     file.attrs["pixel_um"] = self.pixel_um
@@ -65,20 +59,9 @@ class Hdf5File(StackFile):
                         axis.attach_scale(file[scale])
                     for t in range(self.count):
                         data[t] = stack[t, c]
-                file.flush()
-        except BaseException as error:
+        except BaseException:
             part.unlink(missing_ok=True)
-            if isinstance(error, OSError | RuntimeError):
-                raise OSError(f"{self.path}: cannot be written: {error}") from None
             raise
         finally:
             stack._mmap.close()  # type: ignore[attr-defined]
         return part
-
-
-class _File:
-    def __init__(self, h5py: Any, path: Path) -> None:
-        self.file = h5py.File(path, "w")
-
-    def close(self) -> None:
-        self.file.close()

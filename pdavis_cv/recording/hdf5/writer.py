@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
 from pdavis_cv.recording.base import ApsFrame, Recording, RecordingInfo
-from pdavis_cv.recording.hdf5.reader import CHUNK, h5py_module
+from pdavis_cv.recording.hdf5.reader import CHUNK
+from pdavis_cv.recording.hdf5.sink import written
 
 __all__ = ["write_dsec", "write_e2p", "write_hdf5"]
 
@@ -45,7 +46,7 @@ def write_hdf5(path: str | os.PathLike[str], recording: Recording, *,
         raise ValueError(f"flavour must be e2p or dsec, got {flavour!r}")
     info = recording.info
     imu, triggers = [], []
-    with write_beside(path) as part, h5py_module().File(part, "w") as file:
+    with write_beside(path) as part, written(part) as file:
         file.attrs["sensor_size"] = info.sensor_size
         file.attrs["writer"] = "pdavis_cv"
         if info.camera:
