@@ -14,6 +14,7 @@ from pdavis_cv import (
     recording_from_arrays,
     write_aedat2,
 )
+from pdavis_cv.tools.main import main
 
 SIZE = (260, 346)
 
@@ -161,7 +162,7 @@ def test_times_beyond_32_bits_wrap_and_unwrap(tmp_path):
         assert not again.problems
 
 
-def test_biases_survive(tmp_path):
+def test_biases_survive_and_tell_the_thresholds(tmp_path, capsys):
     write_aedat2(tmp_path / "x.aedat2", recording(frames=0))
     data = (tmp_path / "x.aedat2").read_bytes()
     entries = b"".join(
@@ -177,6 +178,8 @@ def test_biases_survive(tmp_path):
             assert second.info.biases == first.info.biases
             on, off = pdavis_cv.calibration.thresholds_from_biases(second.info.biases)
     assert (on, off) == pytest.approx((0.217, 0.262), abs=0.001)
+    assert main(["info", str(tmp_path / "y.aedat2")]) == 0
+    assert "ON 0.217, OFF 0.262, from its biases (file)" in capsys.readouterr().out
 
 
 def test_sizes_and_values_that_do_not_fit(tmp_path):

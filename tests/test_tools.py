@@ -153,7 +153,8 @@ def test_info_counts_the_sample(capsys):
     assert run("info", SAMPLE, "--scan") == 0
     text = capsys.readouterr().out
     for word in ("AEDAT-4", "346x260 (file)", "sensor      DAVIS346 (file)",
-                 "polarizers  unknown", "6,676", "frames      4 "):
+                 "polarizers  unknown", "thresholds  unknown", "6,676",
+                 "frames      4 "):
         assert word in text
     assert "PDAVIS" not in text.replace(SAMPLE, "")
 

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import datetime
 import json
@@ -12,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv import Layout, Sensor
+from pdavis_cv.calibration.thresholds import thresholds_from_biases
 from pdavis_cv.fusion.learning import clock_offset_in_situ
 from pdavis_cv.recording.advice import Advice, advise
 from pdavis_cv.recording.base import Recording, RecordingInfo, Report
-from pdavis_cv.recording.facts import ASSUMED, Fact, assumptions
+from pdavis_cv.recording.facts import ASSUMED, FILE, Fact, assumptions
 
 from ._common import Parser, command, in_flags
 from ._options import add_file, add_source_options, opened
@@ -34,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         name = args.file if isinstance(args.file, str) else recording.name
         if args.json:
             facts = {"file": name, "info": _plain(recording.info),
-                     "facts": _plain(dict(recording.info.facts)),
+                     "facts": _plain(_known(recording.info)),
                      "assumed": assumptions(recording.info.facts),
                      "problems": _plain(list(problems))}
             if report is not None:
@@ -109,13 +111,21 @@ def _rows(info: RecordingInfo, report: Report | None) -> list[tuple[str, str]]:
     return rows
 
 
+def _known(info: RecordingInfo) -> dict[str, Fact]:
+    """Return the facts of a recording, with the thresholds that its biases give."""
+    facts = dict(info.facts)
+    with contextlib.suppress(ValueError):
+        facts["thresholds"] = Fact(thresholds_from_biases(info.biases), FILE)
+    return facts
+
+
 def _facts(info: RecordingInfo) -> Iterator[tuple[str, str]]:
     """Yield what is known of the camera, with the origin of each fact."""
-    facts, nobody = info.facts, Fact(None, "unknown")
-    size, sensor, layout, ratio, times, exposure, scale = (
+    facts, nobody = _known(info), Fact(None, "unknown")
+    size, sensor, layout, ratio, times, exposure, scale, thresholds = (
         facts.get(name, nobody) for name in (
             "sensor_size", "sensor", "layout", "extinction_ratio", "frame_times",
-            "exposure_us", "full_scale_dn"))
+            "exposure_us", "full_scale_dn", "thresholds"))
 
     def said(text: str, fact: Fact) -> str:
         return "unknown" if fact is nobody else f"{text} ({fact.origin})"
@@ -126,6 +136,9 @@ def _facts(info: RecordingInfo) -> Iterator[tuple[str, str]]:
     yield "polarizers", said(str(layout.value), layout) + (
         "" if ratio is nobody else
         f", extinction ratio {said(f'{ratio.value:g}', ratio)}")
+    if info.event_count != 0:
+        yield "thresholds", said("ON {:.3g}, OFF {:.3g}, from its biases".format(
+            *thresholds.value or (0, 0)), thresholds)
     if info.frame_count == 0:
         return
     if times.origin == ASSUMED:
