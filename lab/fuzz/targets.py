@@ -162,7 +162,8 @@ def _viewer(pid):
     from pdavis_cv.viewer import serve
     server = serve(corpus.small((12, 16), 1), port=0, layout=pdavis_cv.Layout.PDAVIS,
                    method="frames")
-    return SimpleNamespace(owner=server), socket.create_server(("127.0.0.1", 0))
+    door = socket.create_server(("127.0.0.1", 0))
+    return SimpleNamespace(site=server.site, owner=server), door
 
 
 def read_http(data, folder):
