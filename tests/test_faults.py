@@ -5,6 +5,7 @@ import pytest
 from pdavis_cv import Sensor
 from pdavis_cv.recording.advice import advise
 from pdavis_cv.simulation import (
+    DEFAULT_CAMERA,
     PRESETS,
     Camera,
     Faults,
@@ -103,15 +104,32 @@ def test_an_offset_beyond_the_readout_is_refused():
         Camera.preset("nominal", faults={"frame_offset_us": 12_001})
 
 
-@pytest.mark.parametrize("name", list(POPULATIONS))
+@pytest.mark.parametrize("name", ["drawn", "davis346"])
 def test_a_seed_names_a_specimen_and_seeds_differ(name):
     one, same, other = (Camera.preset(name, seed=seed) for seed in (1, 1, 2))
     assert one.dvs == same.dvs
     assert one.optics == same.optics
     assert one.dvs != other.dvs
     assert one.aps != other.aps
-    # What the maker states is not what a specimen has.
-    assert PRESETS[name]["dvs"].theta_on == 0.2 != one.dvs.theta_on
+
+
+@pytest.mark.parametrize("name", list(POPULATIONS))
+def test_what_the_maker_states_is_not_what_a_specimen_has(name):
+    stated, camera = PRESETS[name]["dvs"], Camera.preset(name, seed=1)
+    assert stated.theta_on == stated.theta_off == 0.2
+    assert camera.dvs.theta_on != 0.2 != camera.dvs.theta_off
+
+
+def test_a_typical_camera_is_off_as_cameras_are_measured():
+    assert DEFAULT_CAMERA == "typical"
+    camera = Camera.preset("typical", size=(100, 100))
+    mean = (camera.dvs.theta_on + camera.dvs.theta_off) / 2
+    assert mean == pytest.approx(1.2 * PRESETS["typical"]["dvs"].theta_on)
+    for name in ("theta_on", "theta_off"):
+        assert camera.maps[name].std() == pytest.approx(0.045, rel=0.05)
+    recording, _ = camera.record(TURNING, 0.06)
+    (frame,) = [frame for packet in recording.packets() for frame in packet.frames]
+    assert frame.mid_us == 10_000 + 3_000
 
 
 def test_a_preset_without_a_population_is_one_camera():

@@ -17,6 +17,7 @@ from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.passing import passing
 from pdavis_cv.sensor import Sensor
 from pdavis_cv.simulation import (
+    DEFAULT_CAMERA,
     LENSES,
     PRESETS,
     SCENES,
@@ -94,7 +95,8 @@ def _parser() -> argparse.ArgumentParser:
         "-o", "--out", type=Path, required=True, metavar="FILE",
         help="recording to write")
     parser.add_argument(
-        "--camera", choices=list(PRESETS), default="nominal", help="default nominal")
+        "--camera", choices=list(PRESETS), default=DEFAULT_CAMERA,
+        help=f"default {DEFAULT_CAMERA}")
     parser.add_argument(
         "--optics", choices=list(LENSES),
         help="lens and crosstalk in front of the sensor; default none: light reaches "

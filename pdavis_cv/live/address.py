@@ -61,7 +61,7 @@ def open_source(
         ``key=`` and ``authority=``, PEM files, and ``check_name=1``) and
         ``dv+unix:///PATH`` (``frames=`` a second path) of what DV sends,
         ``replay:FILE`` (``speed=1``, 0 = as fast as it is read; ``loop=1``) and
-        ``simulate:SCENE`` (``camera=nominal``, ``size=48x48``, ``rpm=200``, ``seed=0``,
+        ``simulate:SCENE`` (``camera=typical``, ``size=48x48``, ``rpm=200``, ``seed=0``,
         and those of replay), followed by ``?name=value&...``.  The last two take
         ``seconds=``, after which they end; all take the faults of `LinkFaults`, such as
         ``unplug=3``.

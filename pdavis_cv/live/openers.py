@@ -7,7 +7,7 @@ import math
 from pdavis_cv.live.base import Address
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.recording.base import Recording
-from pdavis_cv.simulation import Camera, named_scene
+from pdavis_cv.simulation import DEFAULT_CAMERA, Camera, named_scene
 
 __all__ = ["open_replay", "open_simulation", "simulated"]
 
@@ -29,7 +29,7 @@ def open_replay(
 
 
 def open_simulation(
-    address: Address, *, camera: str = "nominal", size: str = "48x48",
+    address: Address, *, camera: str = DEFAULT_CAMERA, size: str = "48x48",
     rpm: float = 200.0, hz: float = 1.0, seed: int = 0, speed: float = 1.0,
     loop: bool = True, seconds: float = math.inf,
 ) -> ReplaySource:

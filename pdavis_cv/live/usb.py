@@ -17,6 +17,7 @@ from pdavis_cv.live.replay import ReplaySource, pieces
 from pdavis_cv.recording.base import Packet, Recording, RecordingInfo
 from pdavis_cv.recording.davis import DavisDecoder, Orientation
 from pdavis_cv.recording.davis_trace import Transfer
+from pdavis_cv.simulation import DEFAULT_CAMERA
 
 __all__ = ["Device", "SimulatedDavis346", "UsbSource", "open_usb"]
 
@@ -212,9 +213,10 @@ def open_usb(address: Address, **values: str) -> UsbSource:
 
 
 def open_simulated(
-    address: Address, *, replay: str = "", scene: str = "fan", camera: str = "nominal",
-    size: str = "48x48", rpm: float = 200.0, hz: float = 1.0, seed: int = 0,
-    speed: float = 1.0, loop: bool = True, seconds: float = math.inf,
+    address: Address, *, replay: str = "", scene: str = "fan",
+    camera: str = DEFAULT_CAMERA, size: str = "48x48", rpm: float = 200.0,
+    hz: float = 1.0, seed: int = 0, speed: float = 1.0, loop: bool = True,
+    seconds: float = math.inf,
 ) -> UsbSource:
     """Open ``usb:simulated``: the words of a file, or of a scene as in `simulated`."""
     recording = (address.open_recording(replay) if replay

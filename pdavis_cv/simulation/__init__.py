@@ -1,7 +1,7 @@
 """Simulated recordings with exact truth."""
 from pdavis_cv.simulation.aps import ApsPixel
 from pdavis_cv.simulation.bus import Bus
-from pdavis_cv.simulation.camera import PRESETS, Camera
+from pdavis_cv.simulation.camera import DEFAULT_CAMERA, PRESETS, Camera
 from pdavis_cv.simulation.dvs import DvsPixel
 from pdavis_cv.simulation.elements import Behind, Waveplate
 from pdavis_cv.simulation.examples import example_truth
@@ -33,6 +33,7 @@ from pdavis_cv.simulation.temperature import Temperature
 from pdavis_cv.simulation.truth import Truth
 
 __all__ = [
+    "DEFAULT_CAMERA",
     "FULL",
     "LENSES",
     "PRESETS",

@@ -4,6 +4,7 @@ from __future__ import annotations
 import dataclasses
 import math
 
+from pdavis_cv.simulation.camera import DEFAULT_CAMERA
 from pdavis_cv.simulation.patterns import Fan, Tendon, Texture
 from pdavis_cv.simulation.scenes import (
     FlatLight,
@@ -40,7 +41,7 @@ _BRIGHT_DN_PER_MS = 27.0
 def named_scene(
     name: str, *, seconds: float, rpm: float = 200.0, hz: float = 1.0, seed: int = 0,
     start_angle: float = 0.0, light: float | None = None, background: float = 0.0,
-    flicker_hz: float | None = None, camera: str = "nominal",
+    flicker_hz: float | None = None, camera: str = DEFAULT_CAMERA,
 ) -> Scene:
     """Return one of `SCENES`.
 

@@ -108,8 +108,12 @@ _DAVIS346: Mapping[str, Mapping[str, Range]] = {
     },
 }
 
+# One camera, whose thresholds are not those that are stated.
+_TYPICAL: Mapping[str, Mapping[str, Range]] = {
+    "dvs": {"theta_on": Range(0.22, 0.22), "theta_off": Range(0.26, 0.26)}}
+
 POPULATIONS: Mapping[str, Mapping[str, Mapping[str, Range]]] = MappingProxyType({
-    "drawn": _DRAWN, "davis346": _DAVIS346})
+    "typical": _TYPICAL, "drawn": _DRAWN, "davis346": _DAVIS346})
 """Ranges by preset, part and parameter; the other presets are single cameras."""
 
 
