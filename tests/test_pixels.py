@@ -343,6 +343,28 @@ def test_frame_saturates_at_full_well_before_the_converter_ends():
     assert frames[0].valid.all()
 
 
+@pytest.mark.parametrize("preset", ["nominal", "ideal"])
+def test_frames_read_the_black_level_less_and_events_do_not(preset):
+    scene = RotatingPolarizer(rpm=120.0)
+    with_, without = (
+        drain(Camera.preset(preset, size=(6, 6), aps={"black_level_dn": c}).record(
+            scene, 0.3)[0]) for c in (60.0, 0.0))
+    np.testing.assert_array_equal(with_[0], without[0])
+    for less, full in zip(with_[1], without[1], strict=True):
+        bright = full.dn > 70
+        np.testing.assert_allclose(less.dn[bright], full.dn[bright] - 60, atol=1e-4)
+        assert np.all(np.abs(less.dn[~bright]) < 20)
+    assert any((full.dn < 50).any() for full in without[1])
+
+
+def test_a_full_well_is_invalid_with_a_black_level_too():
+    camera = Camera.preset("nominal", size=(20, 20), dvs=None,
+                           aps={"black_level_dn": 50.0})
+    _, frames = drain(camera.record(FlatLight(s0=200.0), 0.1)[0])
+    assert np.all(frames[0].dn < 730)
+    assert not frames[0].valid.any()
+
+
 def test_rolling_shutter_exposes_columns_one_after_the_other():
     scene = RotatingPolarizer(rpm=300.0, start_angle=0.1)
     camera = Camera.preset("ideal", size=(4, 30), dvs=None, origin=(0, 0),

@@ -63,6 +63,9 @@ class ApsPixel:
         Gives photon shot noise; None: none.
     dark_dn_s : float
         Dark current in DN per second of exposure; 1200 electrons/s (table S1).
+    black_level_dn : float
+        What a frame reads too little, DN; below it, it reads 0.  Events follow the log
+        of all the light, so frames and events disagree where it is dim.
     storage_leak : float
         Global shutter: parasitic sensitivity of the storage node, relative to the
         photodiode's, while a sample waits for its column to be read; 0..1.
@@ -81,6 +84,7 @@ class ApsPixel:
     read_noise_dn: float = 0.0
     electrons_per_dn: float | None = None
     dark_dn_s: float = 0.0
+    black_level_dn: float = 0.0
     storage_leak: float = 0.0
 
     def __post_init__(self) -> None:
@@ -93,7 +97,8 @@ class ApsPixel:
         positive(**optional)
         within(0, MOST_DN, reset_fpn_dn=self.reset_fpn_dn, ktc_dn=self.ktc_dn,
                offset_fpn_dn=self.offset_fpn_dn, dark_dn_s=self.dark_dn_s,
-               read_noise_dn=self.read_noise_dn, **optional)
+               read_noise_dn=self.read_noise_dn,
+               black_level_dn=self.black_level_dn, **optional)
         within(0, 1, storage_leak=self.storage_leak)
         within(0, math.inf, full_well_dn=self.full_well_dn)
         require("full_well_dn", self.full_well_dn, self.full_well_dn > 0, "be positive")
@@ -114,7 +119,8 @@ class ApsPixel:
     ) -> dict[str, FloatArray]:
         """Return a specimen's maps: ``reset_dn`` and ``dark_dn``, shape (H, W).
 
-        ``dark_dn`` is the mean of dark frames after correlated double sampling.
+        ``dark_dn`` is the mean of dark frames after correlated double sampling,
+        without a black level.
         """
         index = noise.pixel_index(size, origin)
         reset = (self.reset_dn or 0.0) + self.reset_fpn_dn * noise.normal(
@@ -165,6 +171,9 @@ class ApsPixel:
                 seed, "photon shot noise", index, frame)
         collected = np.minimum(
             collected + (maps["dark_dn"] + dark * (current - 1)), self.full_well_dn)
+        full_well_dn = self.full_well_dn - self.black_level_dn
+        if self.black_level_dn:
+            collected = np.maximum(collected - self.black_level_dn, 0)
         if self.adc_bits is None:
             dn = collected + draw("signal read", self.read_noise_dn)
             return {"dn": dn, "valid": None, "reset": None, "signal": None}
@@ -172,7 +181,7 @@ class ApsPixel:
         if self.reset_dn is None:
             dn = collected + draw("signal read", self.read_noise_dn)
             dn = np.clip(np.rint(dn), 0, top)
-            return {"dn": dn, "valid": dn < min(top, self.full_well_dn),
+            return {"dn": dn, "valid": dn < min(top, full_well_dn),
                     "reset": None, "signal": None}
         level = maps["reset_dn"] + draw("reset noise", self.ktc_dn)
         reset = np.clip(np.rint(level + draw("reset read", self.read_noise_dn)), 0, top)
@@ -180,7 +189,7 @@ class ApsPixel:
             "signal read", self.read_noise_dn)), 0, top)
         dn = reset - signal
         # A pixel's clip level is known only up to its noise.
-        clip = self.full_well_dn - 4 * self.read_noise_dn
+        clip = full_well_dn - 4 * self.read_noise_dn
         valid = (signal > 2) & (reset >= 384) & (dn < clip)
         return {"dn": dn, "valid": valid, "reset": reset.astype(np.uint16),
                 "signal": signal.astype(np.uint16)}
