@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lab.paper.light import EVENT_DN, LOW_UW_CM2, halves
-from lab.paper.robustness import edges
+from lab.paper.light import EVENT_DN, LOW_UW_CM2, edges, halves
 from lab.paper.run import OFF_LOCK, SETTLE_US
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.simulation import (
@@ -52,6 +51,8 @@ class Case:
         Region of the sensor; (height, width) and (row, column).
     least_dolp, margin : float
         Of `Scorer`.
+    demosaic : str
+        Of `fuse`: ``"superpixel"``, or ``"bilinear"`` for images of every pixel.
     mask : callable, optional
         (camera) -> super-pixels that are scored, bool (H / 2, W / 2).
     keep : callable, optional
@@ -69,6 +70,7 @@ class Case:
     origin: tuple[int, int] | None = None
     least_dolp: float = 0.2
     margin: float = 0.0
+    demosaic: str = "superpixel"
     mask: Callable[[Camera], NDArray[np.bool_]] | None = None
     keep: Loss | None = None
     usual: bool = True
@@ -103,6 +105,10 @@ def texture(speed: float, s0: float = FULL) -> Light:
 
 def _edges(speed: float) -> Light:
     return lambda seed: edges(speed)
+
+
+def _sharp(speed: float) -> Light:
+    return lambda seed: edges(speed, width=0.5)
 
 
 def _still(s0: float) -> Light:
@@ -160,10 +166,12 @@ CASES: Mapping[str, Case] = {
         light=light(rpm, dolp), least_dolp=0.2 * dolp)
        for (name, light), rpm, dolp in itertools.product(
            _LIGHTS.items(), _RPMS, _DOLPS)},
-    **{f"texture-{speed}": Case(light=texture(speed), size=(16, 16))
-       for speed in (60, 200, 600)},
-    **{f"edges-{speed}": Case(light=_edges(speed), size=(16, 16))
-       for speed in (60, 200, 600)},
+    # Images of every pixel are interpolated over the mosaic.
+    **{f"{name}-{speed}{ending}": Case(
+        light=light(speed), size=(16, 16), demosaic=demosaic)
+       for (name, light), speed, (ending, demosaic) in itertools.product(
+           (("texture", texture), ("edges", _edges), ("sharp", _sharp)), (60, 200, 600),
+           (("", "superpixel"), ("-pixels", "bilinear")))},
     "fan-dark": _fan("dark"), "fan-bright": _fan("bright"),
     "saturated-60": Case(light=polarizer(60, s0=_BRIGHT)),
     "saturated-200": Case(light=polarizer(200, s0=_BRIGHT)),
@@ -229,8 +237,14 @@ QUICK = (
     *NAMED, ("polarizer-200-1", "nominal"), ("plate-1000-1", "nominal"),
     ("polarizer-20-0.1", "typical"), ("plate-60-0.5", "realistic"),
     ("texture-200", "typical"), ("texture-600", "davis346"), ("edges-60", "typical"),
+    ("edges-60-pixels", "typical"), ("sharp-60-pixels", "typical"),
+    ("texture-200-pixels", "typical"),
     ("fan-dark", "typical"), ("fan-bright", "typical"), ("dark-60", "typical"),
     ("flicker-200", "typical"), ("still-50", "typical"),
-    ("clock-10-200", "nominal"), ("drift-200", "typical"),
+    ("still-after-turn", "nominal"), ("black-80-60-0.5", "typical"),
+    ("clock-10-200", "nominal"), ("clock-minus-5-60", "typical"),
+    ("drift-200", "typical"), ("lost-200", "typical"), ("jitter-200", "nominal"),
+    ("hot-200", "typical"), ("slow-200", "typical"), ("second-pole-1000", "nominal"),
+    ("plate-500-0.3", "davis346"),
     ("seconds-0.3-200-0.5", "typical"), ("seconds-1-texture-200", "typical"))
 """Cells of ``--quick``."""

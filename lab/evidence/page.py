@@ -91,8 +91,14 @@ def page(rows: Sequence[Row], seeds: Sequence[int]) -> list[str]:
         for column in ERRORS)
     lines = [
         "# Evidence", "",
+        "Every method, and two estimates that need no library (the last frame held, a "
+        "straight line in ln intensity from frame to frame), on cases of their own. "
+        "`python -m lab.evidence -o STEM` writes a page like this one; `--help` names "
+        "cases and cameras. Numbers in names are turns per minute or pixels per "
+        "second, then DoLP. Methods are told what a maker would state of the camera, "
+        "and learn the rest.", "",
         f"pdavis_cv {__version__}, seeds {', '.join(map(str, seeds))}. "
-        "AoP error in degrees / DoLP error of super-pixels, mean over seeds; of real "
+        "AoP error in degrees / DoLP error, mean over seeds; of real "
         "recordings RMSE of ln DN of left-out frames, where pixels move / in their "
         "cells. The least error of a line is bold, each kind by itself.", "",
         *table(("case", "camera", *names), (

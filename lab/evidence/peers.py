@@ -91,8 +91,9 @@ PEERS = {"held frame": (held, "causal"), "line": (line, "buffered")}
 
 def polarization(
     ln: FloatArray, angles_deg: Sequence[float], t_us: int,
+    demosaic: str = "superpixel",
 ) -> Image:
-    """Return the polarization of 2x2 cells.
+    """Return the polarization of 2x2 cells, or of every pixel.
 
     Parameters
     ----------
@@ -102,13 +103,26 @@ def polarization(
         Polarizers of a cell, by row: 0, 45, 90 and 135 in some order.
     t_us : int
         Time of the image.
+    demosaic : {"superpixel", "bilinear"}
+        A pixel per cell, or the mean of the nearest pixels of each angle.
     """
-    height, width = (side // 2 * 2 for side in ln.shape)
-    light = np.exp(ln[:height, :width])
-    at = {round(angle) % 180: light[k // 2::2, k % 2::2]
-          for k, angle in enumerate(angles_deg)}
+    light = np.exp(ln)
+    at = {round(angle) % 180: (
+        light[k // 2::2, k % 2::2] if demosaic == "superpixel"
+        else _interpolated(light, k // 2, k % 2)) for k, angle in enumerate(angles_deg)}
     purity = (_EXTINCTION_RATIO - 1) / (_EXTINCTION_RATIO + 1)
     s0 = (at[0] + at[45] + at[90] + at[135]) / 2
     s1, s2 = (at[0] - at[90]) / purity, (at[45] - at[135]) / purity
     return Image(t_us, s0, s1, s2, np.arctan2(s2, s1) / 2, np.hypot(s1, s2) / s0,
                  np.isfinite(s0))
+
+
+def _interpolated(light: FloatArray, row: int, column: int) -> FloatArray:
+    """Return the bilinear interpolation of every second pixel to all."""
+    sums = np.zeros((2, light.shape[0] + 2, light.shape[1] + 2))
+    for dy, dx in np.ndindex(3, 3):
+        weight = (2 - abs(dy - 1)) * (2 - abs(dx - 1))
+        part = sums[:, dy:dy + light.shape[0], dx:dx + light.shape[1]]
+        part[0, row::2, column::2] += weight * light[row::2, column::2]
+        part[1, row::2, column::2] += weight
+    return np.asarray(sums[0, 1:-1, 1:-1] / sums[1, 1:-1, 1:-1])

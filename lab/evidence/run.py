@@ -151,11 +151,14 @@ def simulated_rows(
     rows = []
     for method, ahead in methods.items():
         mask = None if case.mask is None else case.mask(camera)
+        scale = 2 if case.demosaic == "superpixel" else 1
         scorer = Scorer(
-            truth, (case.size[0] // 2, case.size[1] // 2), mask=mask,
-            least_dolp=case.least_dolp, margin=case.margin)
+            truth, (case.size[0] // scale, case.size[1] // scale), scale=scale,
+            mask=mask, least_dolp=case.least_dolp, margin=case.margin)
         of_ln = _LogErrors(mask)
-        for image, estimate in _images(recording, frames, method, times, told):
+        for image, estimate in _images(
+                recording, frames, method, times_us=times, demosaic=case.demosaic,
+                **told):
             scorer.add(image)
             if estimate is not None:
                 of_ln.add(estimate, light(image.t_us))
@@ -199,8 +202,9 @@ class _LogErrors:
 
 
 def _images(
-    recording: Recording, frames: Sequence[ApsFrame], method: str,
-    times_us: NDArray[np.int64], told: Mapping[str, Any],
+    recording: Recording, frames: Sequence[ApsFrame], method: str, *,
+    times_us: NDArray[np.int64], demosaic: str,
+    nominal_thresholds: tuple[float, float],
 ) -> Iterator[tuple[Any, Estimate | None]]:
     """Yield a method's images, and its estimates of ln intensity if it makes any."""
     if method in PEERS:
@@ -209,14 +213,15 @@ def _images(
         angles = [angle for row in layout.angles_deg for angle in row]
         for t in times_us.tolist():
             ln = PEERS[method][0](stack, t)
-            yield polarization(ln, angles, t), Estimate(
+            yield polarization(ln, angles, t, demosaic), Estimate(
                 ln.astype(np.float32), None, np.isfinite(ln))
         return
     trial = trials()[method]
     seen: list[Estimate] = []
     options = {**trial.options, "method": observed(trial.options["method"], seen)}
-    for image in fuse(recording, times_us=times_us, demosaic="superpixel", **options,
-                      **(told if trial.thresholds else {})):
+    if trial.thresholds:
+        options["nominal_thresholds"] = nominal_thresholds
+    for image in fuse(recording, times_us=times_us, demosaic=demosaic, **options):
         yield image, None if trial.relative else seen[0]
 
 

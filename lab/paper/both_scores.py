@@ -16,7 +16,7 @@ from pdavis_cv.simulation import Camera, RotatingPolarizer, Scene, Texture, Trut
 
 from pdavis_cv.tools.score import Trial, trials
 from .page import table
-from .robustness import edges
+from .light import edges
 from .run import OFF_LOCK, Settings
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -52,7 +51,6 @@ from . import (
     network,
     optics_bench,
     overview,
-    robustness,
     rotation,
     rotation_networks,
     rotation_page,
@@ -66,7 +64,6 @@ from .index import write_html, write_index
 from .page import summary, write_page, write_rows
 from .print_style import beside_stem, journal, save_figure
 from .recording import fit_files, fits_page
-from .robustness_page import robustness_figure, robustness_page
 from .run import METHODS, Case, Row, Settings, Takes, run
 
 
@@ -197,15 +194,6 @@ def _demosaicing(figure: str, stem: Path, settings: Settings) -> Result:
         demosaic.demosaic_page, lambda rows: demosaic.demosaic_figure(settings))
 
 
-def _robustness(figure: str, stem: Path, settings: Settings) -> Result:
-    """Cameras and light that depart from what is assumed."""
-    count = len(robustness.robustness_cases(settings))
-    return _written(
-        figure, stem, settings, Row, itertools.chain.from_iterable(progress(
-            robustness.robustness_rows(settings), count, "cases")),
-        robustness_page, robustness_figure)
-
-
 def _both_scores(figure: str, stem: Path, settings: Settings) -> Result:
     """Score by frames left out beside the score by the truth."""
     return _written(
@@ -312,7 +300,7 @@ _RANGES: dict[str, tuple[Callable[[Settings], list[Case]],
 
 
 _IN_ALL = ("fig1", *PAPER, "range", "fan", "tendon", "optics", "transfer", "denoise",
-           "network", "tables", "videos", "robustness")
+           "network", "tables", "videos")
 
 
 # Of figures 2 and 3 ten specimens, each at its own start angle, make up for fewer
@@ -334,9 +322,6 @@ def _own(name: str, settings: Settings) -> Settings:
         starts = ()
         if not settings.quick:
             seeds, steps = _MANY, _STEPS_US[1:] * 2
-    elif name == "robustness":
-        seeds = robustness.QUICK_SEEDS if settings.quick else robustness.SEEDS
-        steps = robustness.STEPS_US
     return dataclasses.replace(
         settings, seeds=settings.seeds or seeds,
         starts_deg=settings.starts_deg or starts,
@@ -351,14 +336,11 @@ def _all(figure: str, stem: Path, settings: Settings) -> Result:
     """Make everything, a table of it, and a page with the pictures."""
     stems = {name: beside_stem(stem, f"-{name}") for name in _IN_ALL}
     rows = together.made(stems, settings, _experiment)
-    # Of cameras that are as assumed: what departs has a page of its own.
-    every = [row for name, each in rows.items() if name != "robustness"
-             for row in each]
+    every = [row for each in rows.values() for row in each]
     write_rows(stem, every, _facts(figure, settings))
     write_index(stem, [(name, EXPERIMENTS[name][0], _own(name, settings))
                        for name in _IN_ALL])
-    return write_page(stem, summary({
-        name: each for name, each in rows.items() if name != "robustness"})), every
+    return write_page(stem, summary(rows)), every
 
 
 Experiment = Callable[[str, Path, Settings], Result]
@@ -377,7 +359,6 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
             "STEM.html with the pictures", _all),
     "demosaic": ("demosaicing, on scenes of known polarization", _demosaicing),
     "denoise": ("noise left and true events kept by denoising", _denoising),
-    "robustness": ("cameras and light that depart from what is assumed", _robustness),
     "optics": ("extinction ratio by wavelength and while aligning; what a lens does",
                _optics),
     "score": ("the score of pdavis score beside the score by the truth", _both_scores),
@@ -426,9 +407,8 @@ def _parser() -> argparse.ArgumentParser:
         help=f"of {', '.join(EVENT_CAMERAS)}; default what suits the figure")
     parser.add_argument(
         "--methods", nargs="+", metavar="NAME",
-        choices=[*METHODS, *network.METHODS, *robustness.ALL],
-        help=f"of {_named(METHODS)}; of network {_named(network.METHODS)}; of "
-             f"robustness {_named(robustness.ALL)}; default all")
+        choices=[*METHODS, *network.METHODS],
+        help=f"of {_named(METHODS)}; of network {_named(network.METHODS)}; default all")
     parser.add_argument(
         "--scenes", nargs="+", default=[], metavar="SCENE",
         help=f"network: of {_named(network.SCENES)}, default all; demosaic: folders of "
@@ -443,9 +423,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--seeds", type=within(0, LAST_SEED), nargs="+",
         help="which specimens; default 1, of fig2 and fig3 without --quick "
-             f"{_MANY[0]} to {_MANY[-1]}, of robustness "
-             f"{' '.join(map(str, robustness.SEEDS))}, with --quick "
-             f"{' '.join(map(str, robustness.QUICK_SEEDS))}")
+             f"{_MANY[0]} to {_MANY[-1]}")
     parser.add_argument(
         "--starts-deg", type=number, nargs="+", default=[], metavar="DEG",
         help="angles at time 0, each with every specimen; default 17, of fig2 and "
@@ -455,8 +433,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--step-us", type=within(1, 10**9), metavar="US",
         help="interval of the images scored; default 1013 (5077 with --quick, and of "
-             "fig2 and fig3), of robustness {} ({}), which no frame clock "
-             "divides".format(*robustness.STEPS_US))
+             "fig2 and fig3), which no frame clock divides")
     parser.add_argument(
         "--quick", action="store_true", help="fewer and shorter cases, a first look")
     add_json_option(parser)
@@ -511,8 +488,7 @@ def _settings(args: argparse.Namespace) -> Settings:
         cameras=None if args.camera is None else tuple(args.camera),
         seeds=tuple(args.seeds or ()), starts_deg=tuple(args.starts_deg),
         rpms=None if args.rpm is None else tuple(args.rpm),
-        methods=tuple(args.methods or [
-            *METHODS, *network.METHODS, *robustness.ALL]),
+        methods=tuple(args.methods or [*METHODS, *network.METHODS]),
         weights=tuple(args.weights), scenes=tuple(args.scenes),
         seconds=args.seconds, step_us=args.step_us or 0, quick=args.quick)
 

@@ -62,8 +62,6 @@ _CAPTIONS = {
     "EventDenoiser keeps; c, rates by speed.",
     "network": "Networks on events alone beside other methods: errors of super-pixels "
     "by scene; marks are medians of speeds and textures, lines their range.",
-    "robustness": "Errors of each method on cameras and light that depart from what is "
-    "assumed; colour is the error over the least of the same causality.",
     "tables": "Tables S1 and S2.",
     "videos": "Supplementary Videos 1 to 5, truth at the left.",
 }
@@ -121,8 +119,7 @@ def write_html(stem: Path, lines: Sequence[str]) -> None:
 
 
 # Of what else than the cameras asked for a figure is.
-_CAMERAS = {"transfer": "ideal, without noise and mismatch",
-            "robustness": "nominal and davis346, changed as each line says"}
+_CAMERAS = {"transfer": "ideal, without noise and mismatch"}
 
 
 def _of(name: str, settings: Settings) -> str:

@@ -1,4 +1,4 @@
-"""Light that is bright, dim, both at once, or not steady: fan, irradiance, flicker."""
+"""Light that is bright, dim, both, or not steady: fan, irradiance, flicker, edges."""
 from __future__ import annotations
 
 import math
@@ -7,7 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.simulation import Camera, Fan, FlatLight, RotatingPlate, Scene
+from pdavis_cv.simulation import (
+    FULL,
+    Camera,
+    Fan,
+    FlatLight,
+    FunctionScene,
+    RotatingPlate,
+    Scene,
+)
 from pdavis_cv.simulation import RotatingPolarizer as Polarizer
 
 from .page import mean, pivot, table
@@ -15,6 +23,40 @@ from .run import METHODS, OFF_LOCK, Case, Row, Settings
 
 
 Light = Callable[[float], Scene]
+
+# ---- edges that pass -------------------------------------------------------------
+
+
+def edges(speed: float, s0: float = FULL, width: float = 2.0) -> Scene:
+    """Stripes, 4 to 1 in intensity, of their own angle and degree, that pass.
+
+    Parameters
+    ----------
+    speed : float
+        Pixels per second.
+    s0 : float
+        S0 of the bright ones, DN per ms.
+    width : float
+        Of an edge, pixels.
+    """
+    period, direction = 24.0, math.radians(20)
+    steepness = 8.0 / width
+
+    def light(
+        t: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float64], ...]:
+        along = x * math.cos(direction) + y * math.sin(direction) - speed * 1e-6 * t
+        part = 0.5 + 0.5 * np.tanh(
+            steepness * np.sin(2 * np.pi / period * along))
+        total = s0 * (0.25 + 0.75 * part)
+        polarized = total * (0.3 + 0.5 * part)
+        twice = 2 * np.deg2rad(20 + 50 * part)
+        return total, polarized * np.cos(twice), polarized * np.sin(twice)
+
+    # It takes 16 samples to pass.
+    return FunctionScene(
+        light, sampling_us=width * 1e6 / speed / 16)  # type: ignore[arg-type]
+
 
 # ---- figure 4a: the fan, half of it lit 2000 times more --------------------------
 

@@ -18,7 +18,7 @@ import sys
 import numpy as np
 from common import Found, main
 
-from lab.paper.robustness import edges
+from lab.paper.light import edges
 from pdavis_cv.selfcal import SelfCalibration, event_scale
 from pdavis_cv.selfcal.event_scale import fit_event_scale
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS

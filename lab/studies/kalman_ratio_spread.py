@@ -16,36 +16,27 @@ from unittest import mock
 import numpy as np
 from common import Found, main
 
-from lab.paper.robustness import RECORDED, STEPS_US, robustness_cases
-from lab.paper.run import (
-    Case,
-    Settings,
-    Takes,
-    fuse_parameters,
-    score,
-)
+from lab.evidence.cases import CASES
+from lab.paper.run import Take, score
 from pdavis_cv.reconstruct.kalman import saturation
 from pdavis_cv.reconstruct.redundancy import RATIO_SIGMA
+from pdavis_cv.simulation import PRESETS, Camera
 
-SEEDS, QUICK_SEEDS = tuple(range(11, 19)), (11, 12)
-
-
-def case_of(seed: int, scene: str) -> Case:
-    """Return the case of a scene in the robustness table, of another specimen."""
-    cases = robustness_cases(Settings(
-        seeds=(seed,), starts_deg=(), cameras=("nominal",)))
-    return next(case for case in cases if case.scene.startswith(scene))
+SEEDS, QUICK_SEEDS = tuple(range(1011, 1019)), (1011, 1012)
 
 
-def errors(scene: str, region: str, seeds: tuple[int, ...], **options: Any):
+def errors(name: str, seeds: tuple[int, ...], **options: Any):
     """Return the medians of AoP (degrees) and DoLP errors of buffered images."""
-    method, found = RECORDED["kalman"], []
+    case, dvs, found = CASES[name], PRESETS["nominal"]["dvs"], []
     for seed in seeds:
-        case = case_of(seed, scene)
+        camera = Camera.preset(
+            "nominal", seed=seed, size=case.size, origin=case.origin)
+        recording, truth = camera.record(case.light(seed), case.seconds)
         scored = score(
-            Takes(case)(method), regions=case.regions(case.specimen(method)),
-            step_us=STEPS_US[1], margin=case.margin, demosaic=case.demosaic,
-            **fuse_parameters(method, case), **options)[region]
+            Take(recording, truth, 0, truth.stop_us), step_us=case.step_us,
+            regions={name: case.mask and case.mask(camera)}, margin=case.margin,
+            method="kalman", nominal_thresholds=(dvs.theta_on, dvs.theta_off),
+            **options)[name]
         found.append((np.rad2deg(scored.aop_error), scored.dolp_error))
     return np.median(found, 0)
 
@@ -53,12 +44,12 @@ def errors(scene: str, region: str, seeds: tuple[int, ...], **options: Any):
 def study(quick: bool) -> list[Found]:
     """Print errors by spread; return those of the code's over those of the other."""
     seeds = QUICK_SEEDS if quick else SEEDS
-    fan = [errors("fan", "bright half", seeds, **options)
+    fan = [errors("fan-bright", seeds, **options)
            for options in ({}, {"ratio_sigma": RATIO_SIGMA})]
     # Without a lower bound dim pixels have the learned spread, too.
     with mock.patch.object(saturation, "RATIO_SIGMA", 0.0):
-        learned = errors("rotating plate", "all", seeds)
-    plate = [errors("rotating plate", "all", seeds), learned]
+        learned = errors("dark-60", seeds)
+    plate = [errors("dark-60", seeds), learned]
     for name, (code, other) in (
             ("fan's bright half: learned, prior", fan),
             ("plate: prior, learned", plate)):

@@ -89,6 +89,14 @@ def test_polarization_of_a_cell_is_that_of_malus_law(angles):
     np.testing.assert_allclose(image.s0, 100)
     np.testing.assert_allclose(image.aop, aop)
     np.testing.assert_allclose(image.dolp, dolp)
+    # Of every pixel, of light that grows evenly: exact but for edges of the image.
+    ramp = 1 + 0.02 * np.add.outer(np.arange(6), np.arange(8))
+    whole = polarization(np.log(light * ramp), angles, 7, "bilinear")
+    inner = np.s_[1:-1, 1:-1]
+    assert whole.shape == (6, 8)
+    np.testing.assert_allclose(whole.s0[inner], 100 * ramp[inner])
+    np.testing.assert_allclose(whole.aop[inner], aop)
+    np.testing.assert_allclose(whole.dolp[inner], dolp)
 
 
 def test_the_held_frame_is_what_the_method_frames_shows():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pdavis_cv
-from lab.paper import command, robustness
+from lab.paper import command
 from lab.paper.page import pivot
 from lab.paper.run import SHOWN, Row, Take, score
 from pdavis_cv.simulation import Camera, FlatLight, RotatingPolarizer
@@ -154,7 +154,7 @@ def test_one_command_does_all_of_it_and_sums_it_up(tmp_path, capsys):
     assert all((tmp_path / link).exists() for link in links)
     for name in ("fig1", "fig2", "fig3", "fig4a", "fan", "tendon", "range", "dr",
                  "flicker", "optics", "transfer", "denoise", "network", "tables",
-                 "videos", "robustness"):
+                 "videos"):
         assert (tmp_path / f"all-{name}.md").exists()
         assert (tmp_path / f"all-{name}.csv").exists()
     line = next(line for line in capsys.readouterr().out.splitlines()
@@ -168,16 +168,14 @@ def test_one_command_does_all_of_it_and_sums_it_up(tmp_path, capsys):
     assert fan.strip() == " / ".join(halves)
 
 
-@pytest.mark.parametrize(("quick", "of_figures", "of_table"), [
-    ([], tuple(range(1, 11)), robustness.SEEDS),
-    (["--quick"], (1,), robustness.QUICK_SEEDS),
-    (["--seeds", "4", "7"], (4, 7), (4, 7))])
+@pytest.mark.parametrize(("quick", "of_figures"), [
+    ([], tuple(range(1, 11))), (["--quick"], (1,)), (["--seeds", "4", "7"], (4, 7))])
 def test_each_figure_of_all_has_its_own_specimens(
-        tmp_path, monkeypatch, quick, of_figures, of_table):
+        tmp_path, monkeypatch, quick, of_figures):
     asked = {}
 
     def made(stems, settings, make):
-        for name in ("fig2", "fig3", "fig4a", "robustness"):
+        for name in ("fig2", "fig3", "fig4a"):
             monkeypatch.setitem(command.EXPERIMENTS, name, (
                 "", lambda name, stem, settings: asked.setdefault(name, settings)))
             make(name, stems[name], settings)
@@ -189,8 +187,6 @@ def test_each_figure_of_all_has_its_own_specimens(
         command.EXPERIMENTS["all"][1]("all", tmp_path / "x", settings)
     assert asked["fig2"].seeds == asked["fig3"].seeds == of_figures
     assert len({start for _, start in asked["fig3"].specimens}) == len(of_figures)
-    assert asked["robustness"].seeds == of_table
-    assert asked["robustness"].step_us == robustness.STEPS_US["--quick" in quick]
     assert asked["fig4a"].starts_deg == (17.0,)
 
 
