@@ -205,13 +205,15 @@ CASES: Mapping[str, Case] = {
     "slow-200": Case(light=polarizer(200), changes={
         "dvs": {"cutoff_hz": None, "cutoff_hz_per_dn_ms": 160 / FULL}}),
     **_MISSING,
+    # The first and the fifth minute tell whether errors grow.
     **{f"seconds-{length:g}-{name}": Case(
         light=light, seconds=length, start_us=start, step_us=step, size=size,
-        usual=length < 100)
+        usual=length < 60)
        for (length, start, step), (name, light, size) in itertools.product(
            ((0.3, 60_000, 7_013), (1, 200_000, 11_013), (10, SETTLE_US, 51_013),
-            (300, SETTLE_US, 1_051_013)),
-           (("200-0.5", polarizer(200, 0.5), (12, 12)),
+            (60, SETTLE_US, 251_013), (300, 240_000_000, 251_013)),
+           (("20-1", polarizer(20), (12, 12)),
+            ("200-0.5", polarizer(200, 0.5), (12, 12)),
             ("texture-200", texture(200), (16, 16))))},
 }
 """Name -> what is simulated."""
