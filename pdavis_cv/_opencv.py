@@ -2,9 +2,10 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 from typing import Any
 
-__all__ = ["native_capture", "opencv"]
+__all__ = ["native_capture", "needs_opencv", "opencv", "set_log_level"]
 
 
 def opencv() -> Any:
@@ -13,16 +14,22 @@ def opencv() -> Any:
     Returns
     -------
     module
-        OpenCV, any of its four wheels.
+        OpenCV 4.10 or later, any of its four wheels.
 
     Raises
     ------
     ImportError
-        If no OpenCV is installed.
+        If no OpenCV is installed, or one that cannot use this NumPy: wheels before
+        4.10, and Debian's 4.6, are compiled for NumPy 1.
     """
     try:
         return importlib.import_module("cv2")
     except ImportError as error:
+        if importlib.util.find_spec("cv2") is not None:
+            raise ImportError(
+                "the OpenCV that is installed cannot be imported; wheels before 4.10, "
+                "and Debian's 4.6, are compiled for NumPy 1: install OpenCV 4.10 or "
+                f"later into an environment of this library ({error})") from error
         raise ImportError(
             "this needs OpenCV, which comes as an extra because its four wheels "
             "exclude each other: pip install opencv-contrib-python-headless, or any "
@@ -33,3 +40,38 @@ def native_capture() -> Any:
     """Return the real class cv2.VideoCapture, also while it is patched."""
     found = opencv().VideoCapture
     return getattr(found, "replaces", found)
+
+
+def needs_opencv(name: str, version: str, purpose: str) -> Any:
+    """Return the module cv2 if it has a function, or say from which version on.
+
+    Parameters
+    ----------
+    name : str
+        Of the function.
+    version : str
+        The first OpenCV that has it.
+    purpose : str
+        What it is needed for.
+
+    Returns
+    -------
+    module
+
+    Raises
+    ------
+    ImportError
+        If there is no OpenCV, or an older one.
+    """
+    cv2 = opencv()
+    if not hasattr(cv2, name):
+        raise ImportError(f"{purpose} needs OpenCV {version} or later, this is "
+                          f"{cv2.__version__}")
+    return cv2
+
+
+def set_log_level(level: int) -> int:
+    """Set how much OpenCV prints, 0 = nothing, and return what was set before."""
+    cv2 = opencv()
+    logging = cv2 if hasattr(cv2, "setLogLevel") else cv2.utils.logging  # from 4.13 on
+    return int(logging.setLogLevel(level))

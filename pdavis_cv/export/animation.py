@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv._opencv import needs_opencv
 from pdavis_cv._types import Facts, Image
 from pdavis_cv.export.files import SeriesFile
 from pdavis_cv.export.provenance import embed
 from pdavis_cv.export.video import VideoFile
-from pdavis_cv.render import opencv
 
 __all__ = ["ANIMATIONS", "AnimationFile", "moving_file"]
 
@@ -63,7 +63,8 @@ class AnimationFile(SeriesFile):
             raise ValueError(
                 f"fps must lie in 0.01..{_MOST_FPS[suffix]:g} for {suffix}, got "
                 f"{fps:g}; play it slower")
-        self._cv2 = opencv()
+        self._cv2 = needs_opencv(
+            "imencodeanimation", "4.12", f"an animation ({suffix}; .webm needs less)")
         self._pictures: list[NDArray[np.uint8]] = []
         self._stack = contextlib.ExitStack()
         self._part = self._stack.enter_context(write_beside(self.path))

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv._opencv import opencv, set_log_level
 from pdavis_cv._types import Events, Facts, Image
 from pdavis_cv.export.files import SeriesFile
 from pdavis_cv.export.h264 import H264Writer, h264_encoder
 from pdavis_cv.export.provenance import embed, embed_png
-from pdavis_cv.render import even, opencv, png_of
+from pdavis_cv.render import even, png_of
 
 __all__ = ["PlaneVideo", "VideoFile", "write_png"]
 
@@ -90,7 +91,7 @@ class VideoFile(SeriesFile):
         self._writer: Any = None
         self._shape: tuple[int, ...] = ()
         # Once per file instead of per picture, as each call waits for the GIL.
-        self._stack.enter_context(_silent(self._cv2))
+        self._stack.enter_context(_silent())
         # OpenCV encodes without the GIL, while the caller makes the next picture.
         self._encoder = self._stack.enter_context(ThreadPoolExecutor(1))
         self._waiting: deque[Future[None]] = deque()
@@ -230,11 +231,10 @@ class _Silence:
         self._count, self._level = 0, 0
 
     @contextlib.contextmanager
-    def __call__(self, cv2: Any) -> Iterator[None]:
-        logging = cv2.utils.logging
+    def __call__(self) -> Iterator[None]:
         with self._lock:
             if self._count == 0:
-                self._level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+                self._level = set_log_level(0)
             self._count += 1
         try:
             yield
@@ -242,7 +242,7 @@ class _Silence:
             with self._lock:
                 self._count -= 1
                 if self._count == 0:
-                    logging.setLogLevel(self._level)
+                    set_log_level(self._level)
 
 
 _silent = _Silence()
