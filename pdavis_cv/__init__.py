@@ -3,9 +3,18 @@
 The names that `__init__.pyi` lists are imported at first use, so that importing the
 package is fast.
 """
+from typing import Any
+
 import lazy_loader
 
 __version__ = "0.1.0"
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_lazy, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 __all__ += ["__version__"]
+
+
+def __getattr__(name: str) -> Any:
+    if name.startswith("_") or name in __all__:
+        return _lazy(name)
+    from pdavis_cv.registry import instead
+    raise AttributeError(f"pdavis_cv has no {name!r}{instead(name, __all__)}")

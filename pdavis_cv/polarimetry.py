@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -19,6 +19,7 @@ from pdavis_cv.mosaic import (
     places_of,
     scratch_rows,
 )
+from pdavis_cv.registry import instead
 from pdavis_cv.sensor import Layout
 from pdavis_cv.stokes_vector import (
     aop,
@@ -455,6 +456,11 @@ class PolarFrame:
                   for name in ("method", "mode") if name in self._provenance]
         return f"PolarFrame({', '.join(parts)})"
 
+    if not TYPE_CHECKING:  # it would hide every misspelt name from mypy
+        def __getattr__(self, name: str) -> NoReturn:
+            raise AttributeError(
+                f"PolarFrame has no {name!r}{_instead(name)}", name=name, obj=self)
+
     def _repr_png_(self) -> bytes | None:
         """Return a picture of S0, AoP and DoLP for notebooks; None without OpenCV."""
         # Through the package's lazy attribute, as `render` is above this module.
@@ -462,6 +468,20 @@ class PolarFrame:
             return pdavis_cv.render.png_of(pdavis_cv.render.summary(self))
         except ImportError:
             return None
+
+
+def _instead(name: str) -> str:
+    """Return what an attribute that there is not may be called here."""
+    if name.startswith("_"):
+        return ""
+    try:
+        # Through the package's lazy attribute, as `quantities` is above this module.
+        known: str = pdavis_cv.quantities.quantity(name).name
+    except ValueError:
+        return instead(name, [one for one in dir(PolarFrame) if one[0] != "_"])
+    if known in ("i0", "i45", "i90", "i135"):
+        return "; I0, I45, I90 and I135 are the planes of quad"
+    return f"; it is {known}" if hasattr(PolarFrame, known) else ""
 
 
 def _restored_frame(*arguments: Any) -> PolarFrame:

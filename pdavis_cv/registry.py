@@ -5,11 +5,12 @@ thing by an entry point of its name in the group ``pdavis_cv.formats``, ``.metho
 """
 from __future__ import annotations
 
+import difflib
 import functools
 import importlib
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from pdavis_cv.errors import PdavisWarning
@@ -17,7 +18,7 @@ from pdavis_cv.errors import PdavisWarning
 if TYPE_CHECKING:   # it loads the e-mail package, which takes 20 ms
     from importlib.metadata import EntryPoint
 
-__all__ = ["Registry", "UnknownNameError", "loaded"]
+__all__ = ["Registry", "UnknownNameError", "instead", "loaded"]
 
 T = TypeVar("T")
 
@@ -61,7 +62,8 @@ class Registry(Mapping[str, T]):
         point = self._added().get(name)
         if point is None:
             raise UnknownNameError(
-                f"{self.kind} must be one of {', '.join(self)}, got {name!r}")
+                f"{self.kind} must be one of {', '.join(self)}, got {name!r}"
+                f"{instead(name, self)}")
         return self._loaded(point)
 
     def _loaded(self, point: EntryPoint) -> T:
@@ -125,3 +127,19 @@ def loaded(what: Any) -> Any:
         return what
     module, _, name = what.partition(":")
     return getattr(importlib.import_module(module), name)
+
+
+_MEANT = {"framerate": "fps", "frame_rate": "fps", "rate": "fps", "begin": "start_us",
+          "end": "stop_us", "until": "stop_us", "duration": "stop_us",
+          "times": "times_us", "t": "times_us", "crop": "roi", "region": "roi"}
+"""What other libraries call an option; used where there is an option of that name."""
+
+
+def instead(name: object, known: Iterable[str]) -> str:
+    """Return "; did you mean ...?" with the known name nearest to one, or nothing."""
+    names = {one.lower(): one for one in known}
+    wanted = str(name).lower()
+    meant = _MEANT.get(wanted, f"{wanted}_us")
+    near = ([meant] if meant in names else
+            difflib.get_close_matches(wanted, names, 1, 0.7))
+    return f"; did you mean {names[near[0]]}?" if near else ""

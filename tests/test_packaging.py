@@ -68,7 +68,7 @@ def test_every_public_name_comes_from_its_home():
 
 
 def test_an_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="attribute fuze"):
+    with pytest.raises(AttributeError, match="no 'fuze'; did you mean fuse"):
         pdavis_cv.fuze  # noqa: B018
 
 

@@ -112,9 +112,14 @@ def number_of(value: int | str) -> int:
 
     Raises
     ------
+    TypeError
+        If it is several.
     ValueError
         If there is no output of this name.
     """
+    if isinstance(value, (list, tuple)):
+        raise TypeError(f"output must be one name, got {value!r}; retrieve(flag) gives "
+                        "others of the same image")
     if not isinstance(value, str):
         return value
     wanted = output_named(value)

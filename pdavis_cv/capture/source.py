@@ -15,6 +15,7 @@ from pdavis_cv.reconstruct.methods import METHODS, method_parameters
 from pdavis_cv.recording.base import Source
 from pdavis_cv.recording.options import SourceOptions, source_part
 from pdavis_cv.recording.registry import is_recording
+from pdavis_cv.registry import instead
 from pdavis_cv.sensor import Layout
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
 
 _FUSE = tuple(FusionOptions.facts())
 _OPEN = tuple(SourceOptions.facts())
+_VIEW = ("output", "gain", "gamma", "log")
 
 
 def is_ours(source: Any, backend: int, parameters: Parameters) -> bool:
@@ -83,7 +85,9 @@ def checked_parameters(parameters: Parameters) -> None:
         name for method in methods if method for name in method_parameters(method)}
     for name in others:
         if name not in of_methods:
-            raise TypeError(f"VideoCapture has no parameter {name!r}")
+            raise TypeError(
+                f"VideoCapture has no parameter {name!r}"
+                f"{instead(name, (*_FUSE, *_OPEN, *of_methods, *_VIEW))}")
 
 
 # ---- parameters as numbers ---------------------------------------------------

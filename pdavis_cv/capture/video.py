@@ -326,7 +326,7 @@ class VideoCapture:
 
     def _grab(self) -> bool:
         if self._session is None:
-            self._error = "the capture is not open"
+            self._not_open()
             return False
         try:
             if self._session.grab():
@@ -342,7 +342,7 @@ class VideoCapture:
         self, function: str, image: Any, flag: int
     ) -> tuple[bool, Image | None]:
         if self._session is None:
-            self._error = "the capture is not open"
+            self._not_open()
             return self._failed(function), None
         try:
             made = self._session.retrieve(flag)
@@ -416,7 +416,7 @@ class VideoCapture:
 
     def _set(self, prop: int, value: float) -> bool:
         if self._session is None:
-            self._error = "the capture is not open"
+            self._not_open()
             return False
         try:
             if self._session.set(prop, value):
@@ -469,6 +469,10 @@ class VideoCapture:
         """Record why opening failed."""
         self._status, self._error = CaptureStatus.ERROR, message
         return self._failed(function)
+
+    def _not_open(self) -> None:
+        if self._status is not CaptureStatus.ERROR:  # that opening failed, and why
+            self._error = "the capture is not open"
 
     def _failed(self, function: str) -> bool:
         if self._exceptions:

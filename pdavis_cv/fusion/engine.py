@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from fractions import Fraction
@@ -29,7 +30,7 @@ from pdavis_cv.fusion.grid import grid_us
 from pdavis_cv.fusion.images import ImageMaker
 from pdavis_cv.fusion.learning import Learning
 from pdavis_cv.fusion.online_learning import OnlineLearning
-from pdavis_cv.fusion.options import FusionOptions
+from pdavis_cv.fusion.options import FusionOptions, check_times_fit
 from pdavis_cv.fusion.snapshot import BEFORE, FusionSnapshot
 from pdavis_cv.fusion.states import ArrivalState, InOrderState, make_state
 from pdavis_cv.fusion.tuning import Tuning
@@ -84,11 +85,15 @@ class Fusion:
         self, recording: Source, options: FusionOptions | None = None, **changes: Any
     ) -> None:
         if not isinstance(recording, Source):
+            how = ("; open it first: with pdavis_cv.open_recording(path) as recording, "
+                   "or pdavis_cv.open_source(address)"
+                   if isinstance(recording, (str, os.PathLike)) else "")
             raise TypeError(
                 "recording must be a Recording (see open_recording) or a Source, got "
-                f"{type(recording).__name__}")
+                f"{type(recording).__name__}{how}")
         options = (options or FusionOptions()).replace(**changes)
         info = recording.info
+        check_times_fit(options, info)
         if info.demosaic:
             options = options.replace(demosaic=info.demosaic)
         self.recording, self.options = recording, options
@@ -147,7 +152,8 @@ class Fusion:
 
         def made(parameters: Parameters) -> Reconstructor:
             return make_reconstructor(
-                self._factory, size, 0.2, 0.2, parameters, response, self._denoise)
+                self._factory, size, 0.2, 0.2, parameters, response, self._denoise,
+                FusionOptions.facts())
 
         probe = made(numbers)
         if self.options.causal and probe.lookahead_us != 0:

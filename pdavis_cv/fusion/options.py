@@ -24,11 +24,12 @@ from pdavis_cv.events import checked_time
 from pdavis_cv.mosaic import DEMOSAIC_METHODS
 from pdavis_cv.reconstruct.base import Factory
 from pdavis_cv.reconstruct.methods import METHODS, factory_of
+from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.recording.options import SourceKeywords, SourceOptions
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Layout
 
-__all__ = ["AllKeywords", "FusionKeywords", "FusionOptions", "fusion_part",
-           "takes_options"]
+__all__ = ["AllKeywords", "FusionKeywords", "FusionOptions", "check_times_fit",
+           "fusion_part", "takes_options"]
 
 _MOST_FPS = 1_000_000
 _MOST_OFFSET_US = 1_000_000     # a larger offset means different cameras
@@ -263,6 +264,26 @@ def _checked_times(options: FusionOptions) -> NDArray[np.int64] | None:
         if t.size:
             checked_time("times_us", int(t[0]))
     return times
+
+
+def check_times_fit(options: FusionOptions, info: RecordingInfo) -> None:
+    """Raise ValueError if the images lie further from a recording than it is long.
+
+    So do seconds, or times from its start, in place of its own microseconds.  Some of
+    ``times_us`` may.  Where the file does not tell its end, nothing is checked.
+    """
+    if info.start_us is None or info.stop_us is None:
+        return
+    span = info.stop_us - info.start_us
+    given = [(name, value, value) for name in ("start_us", "stop_us")
+             if (value := getattr(options, name)) is not None]
+    if options.times is not None and len(options.times):
+        given.append(("times_us", int(options.times[0]), int(options.times[-1])))
+    for name, first, last in given:
+        if last < info.start_us - span or first > info.stop_us + span:
+            raise ValueError(
+                f"{name} must be microseconds of the recording's clock, which runs "
+                f"from {info.start_us} to {info.stop_us}, got {first}")
 
 
 def _check_rate(fps: Any) -> None:

@@ -6,6 +6,7 @@ another package's entry point.
 from __future__ import annotations
 
 import inspect
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from pdavis_cv._types import Parameters
 from pdavis_cv.reconstruct.base import Factory, Reconstructor
 from pdavis_cv.reconstruct.denoise import Denoised
 from pdavis_cv.recording.base import RecordingInfo
-from pdavis_cv.registry import Registry
+from pdavis_cv.registry import Registry, instead
 
 __all__ = ["DEFAULT_METHOD", "METHODS", "default_method", "factory_of",
            "make_reconstructor", "method_parameters"]
@@ -71,6 +72,7 @@ def make_reconstructor(
     parameters: Parameters,
     response: NDArray[np.float64] | None = None,
     denoise: Parameters | None = None,
+    options: Collection[str] = (),
 ) -> Reconstructor:
     """Make the Reconstructor of a method.
 
@@ -88,6 +90,8 @@ def make_reconstructor(
         Response of the pixels (of the cell) to S0, S1, S2, for methods that take it.
     denoise : mapping of str to object, optional
         Parameters of an `EventDenoiser` that the events pass first; default: none.
+    options : collection of str
+        What the caller takes besides; only named where a parameter is unknown.
 
     Raises
     ------
@@ -102,7 +106,8 @@ def make_reconstructor(
         if key not in method_parameters(method) and not free:
             raise TypeError(
                 f"method {_name(method)!r} has no parameter {key!r}; it takes "
-                f"{', '.join(method_parameters(method)) or 'none'}")
+                f"{', '.join(method_parameters(method)) or 'none'}"
+                f"{instead(key, (*options, *method_parameters(method)))}")
     offered = {"theta_on": theta_on, "theta_off": theta_off, "response": response}
     given = {key: value for key, value in offered.items()
              if key in known and value is not None}

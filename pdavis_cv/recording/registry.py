@@ -15,7 +15,7 @@ from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.format import Format
 from pdavis_cv.recording.images.reader import is_four_planes
 from pdavis_cv.recording.options import SourceOptions
-from pdavis_cv.registry import Registry, loaded
+from pdavis_cv.registry import Registry, instead, loaded
 
 __all__ = ["FORMATS", "first_bytes", "format_of", "is_recording", "read_with",
            "suffixes", "writer_for"]
@@ -153,8 +153,11 @@ def first_bytes(path: Path) -> bytes:
         with path.open("rb") as file:
             return file.read(_HEAD)
     except OSError as error:
+        scheme, colon, _ = str(path).partition(":")
+        live = "; the address of a live source is for pdavis_cv.open_source" if (
+            colon and len(scheme) > 1 and scheme.isalpha()) else ""  # C: is a disk
         raise RecordingError(
-            f"{path}: cannot be opened: {error.strerror or error}") from error
+            f"{path}: cannot be opened: {error.strerror or error}{live}") from error
 
 
 def read_with(one: Format, source: Any, options: SourceOptions) -> Recording:
@@ -176,7 +179,8 @@ def read_with(one: Format, source: Any, options: SourceOptions) -> Recording:
             one.read_options)):
         known = sorted(_ALWAYS.union(one.read_options))
         raise TypeError(f"{name}= is no option of {one.title}, which has "
-                        f"{', '.join(f'{each}=' for each in known)}")
+                        f"{', '.join(f'{each}=' for each in known)}"
+                        f"{instead(name, known)}")
     recording: Recording = loaded(one.reader)(source, options)
     return recording
 

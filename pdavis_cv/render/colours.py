@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render.cyclic import even_hues, hsv_hues
 
 __all__ = [
@@ -106,13 +108,18 @@ def aop_bgr(
     Raises
     ------
     ValueError
-        If there is no such map.
+        If there is no such map, or `aop` is not one plane or not in radians.
     """
     if colours not in _HUES:
         raise ValueError(f"colours must be one of {', '.join(_HUES)}, got {colours!r}")
+    plane = one_plane("aop", aop)
+    beyond = (np.abs(plane) > 2 * np.pi) & np.isfinite(plane)
+    if beyond.any():
+        raise ValueError(f"aop must be in radians, got {plane[beyond][0]:.4g}; see "
+                         "np.radians")
     table = _HUES[colours]
     return through_table(
-        _kernels.hue_bgr, aop, valid, (len(table) - 2) / np.pi, table, out=out)
+        _kernels.hue_bgr, plane, valid, (len(table) - 2) / np.pi, table, out=out)
 
 
 def dolp_bgr(
@@ -138,7 +145,8 @@ def dolp_bgr(
         BGR.
     """
     return through_table(
-        _kernels.ramp_bgr, dolp, valid, 255 / top, DOLP_TABLE, out=out)
+        _kernels.ramp_bgr, one_plane("dolp", dolp), valid, 255 / top, DOLP_TABLE,
+        out=out)
 
 
 def grey_bgr(
@@ -175,7 +183,7 @@ def grey_bgr(
     if not white > 0:
         raise ValueError(f"white must be positive, got {white}")
     return through_table(
-        _kernels.ramp_bgr, intensity, valid, 255 / white,
+        _kernels.ramp_bgr, one_plane("intensity", intensity), valid, 255 / white,
         GREY_TABLE if saturated is None else SEEN_TABLE, saturated, out)
 
 
@@ -208,6 +216,18 @@ def fade(
         else np.ascontiguousarray(valid, np.bool_).view(np.uint8))
     _kernels.fade_bgr(
         np.ascontiguousarray(weight, np.float32), kept, 1 / top, ground, picture)
+
+
+def one_plane(name: str, values: ArrayLike) -> NDArray[Any]:
+    """Return values as an array, or raise an error that says what they are instead."""
+    if isinstance(values, PolarFrame):
+        raise TypeError(f"{name} must be one plane of the image, such as image.aop, "
+                        "image.dolp or image.s0, got the whole PolarFrame")
+    plane = np.asarray(values)
+    if plane.ndim > 2:
+        raise ValueError(f"{name} must have shape (H, W), got {plane.shape}; "
+                         "PolarFrame(quad) makes AoP and DoLP of four intensities")
+    return plane
 
 
 def through_table(

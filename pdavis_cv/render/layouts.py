@@ -66,6 +66,8 @@ def summary(image: PolarFrame) -> Picture:
     ndarray of uint8, shape (H', W', 3)
         BGR of even size.
     """
+    if not isinstance(image, PolarFrame):
+        raise TypeError(f"image must be a PolarFrame, got {type(image).__name__}")
     grey = (ToneCurve.of([image.s0], [image.valid]) if image.valid.any()
             else ToneCurve(1.0))
     colour = aop_bgr(image.aop, image.valid)
