@@ -150,6 +150,10 @@ def test_images_become_an_xarray_dataset():
     assert data["aop"].units == "rad"
     assert json.loads(data.provenance) == dict(some[0].provenance)
     assert to_xarray(some[1])["s0"].shape == (1, *some[1].shape)
+    later = data.swap_dims(t_us="time")
+    assert list(later["time"].values.astype("timedelta64[us]").astype(int)) == [
+        image.t_us for image in some]
+    assert later.resample(time="1h").mean()["s0"].shape == (1, *some[1].shape)
     with pytest.raises(ValueError, match="quantity must be one of"):
         to_xarray(some, ["angle"])
     with pytest.raises(ValueError, match="at least one, got none"):

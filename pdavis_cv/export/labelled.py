@@ -34,7 +34,8 @@ def to_xarray(
     xarray.Dataset
         A float32 variable (t_us, y, x) per quantity, NaN where a pixel is not valid,
         with attributes ``units`` and ``long_name``; coordinates are microseconds and
-        sensor pixels.
+        sensor pixels.  A second one of ``t_us`` is ``time``, a timedelta, for
+        ``swap_dims(t_us="time").resample``.
         ``provenance`` (JSON) is that of the first image.
 
     Raises
@@ -71,9 +72,10 @@ def to_xarray(
             np.where(image.valid, one.of(image), np.float32(np.nan))
             for image in kept]), {"units": one.unit, "long_name": one.title})
         for one in wanted}
+    times = np.array([image.t_us or 0 for image in kept], np.int64)
     coordinates = {
-        "t_us": ("t_us", np.array([image.t_us or 0 for image in kept], np.int64),
-                 {"units": "us"}),
+        "t_us": ("t_us", times, {"units": "us"}),
+        "time": ("t_us", times.view("timedelta64[us]")),
         "y": ("y", np.arange(height), {"units": "pixel"}),
         "x": ("x", np.arange(width), {"units": "pixel"})}
     return xarray.Dataset(
