@@ -549,3 +549,14 @@ def test_commands_take_an_address(capsys, tmp_path, monkeypatch):
         line, = (line for line in of_file.splitlines() if line.split()[0] == word)
         assert line.split()[1] in said
     assert not list(tmp_path.iterdir())
+
+
+def test_a_simulated_fan_is_all_seen_and_measured_in_most_pixels():
+    with pdavis_cv.open_source("simulate:fan?rpm=600&seconds=.2&speed=0") as source:
+        images = list(pdavis_cv.fuse(source, fps=50))
+    assert images[-1].valid.mean() > 0.9
+    wheel = images[-1].dolp[2:-2, 2:-2] > 0.5     # polarized left, right, above, below
+    assert wheel[18:30, :12].any()
+    assert wheel[18:30, -12:].any()
+    assert wheel[:12].any()
+    assert wheel[-12:].any()

@@ -1,13 +1,14 @@
 """Live sources without a device: a replayed recording and a simulated camera."""
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 
 from pdavis_cv.live.base import Address
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.recording.base import Recording
-from pdavis_cv.simulation import DEFAULT_CAMERA, Camera, named_scene
+from pdavis_cv.simulation import DEFAULT_CAMERA, Camera, Fan, named_scene
 
 __all__ = ["open_replay", "open_simulation", "simulated"]
 
@@ -54,6 +55,10 @@ def simulated(
     period_s = 1 / hz if scene == "tendon" else 60 / abs(rpm) if rpm else 1.0
     made = named_scene(scene, seconds=period_s, rpm=rpm, hz=hz, seed=seed,
                        camera=camera)
+    if isinstance(made, Fan):  # all of the wheel, in light that frames can measure
+        part = min(int(height), int(width)) / 260
+        made = dataclasses.replace(
+            made, radius=part * made.radius, hub=part * made.hub, bright=1.0)
     recording, _ = Camera.preset(
         camera, seed=seed, size=(int(height), int(width))).record(made, period_s)
     return recording
