@@ -1,5 +1,6 @@
 """Scenes, mosaics and angles for the tests."""
 import itertools
+from fractions import Fraction
 
 import numpy as np
 
@@ -41,3 +42,19 @@ def scene(shape):
 def apart(a, b):
     """Distance of two axial angles in radians."""
     return np.abs(np.mod(np.asarray(a, float) - b + np.pi / 2, np.pi) - np.pi / 2)
+
+
+def encoded(path, images, codec, pixels, times=None, base=Fraction(1, 25)):
+    """Write a video through PyAV; `times` counts units of `base`."""
+    import av
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=25)
+        stream.height, stream.width = images[0].shape
+        stream.pix_fmt, stream.codec_context.time_base = pixels, base
+        source = pixels if pixels.startswith("gray") else "gray"
+        for k, image in enumerate(images):
+            frame = av.VideoFrame.from_ndarray(image, format=source)
+            frame.pts, frame.time_base = (times or range(len(images)))[k], base
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    return path

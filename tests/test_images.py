@@ -5,6 +5,7 @@ import re
 import cv2
 import numpy as np
 import pytest
+from images import encoded
 
 import pdavis_cv as p
 from pdavis_cv import (
@@ -102,6 +103,29 @@ def test_seeking_in_a_video_is_exact(tmp_path, codec):
         for k in np.random.default_rng(0).integers(0, 40, 25):
             assert cap.set(1, k)
             assert cap.read()[1].tobytes() == known[k]
+
+
+@pytest.mark.parametrize("codec", ["rawvideo", "ffv1"])
+def test_images_that_an_avi_leaves_out_are_no_images(tmp_path, codec):
+    expected = images(np.uint8, 4)
+    path = encoded(tmp_path / "a.avi", expected, codec, "gray", [0, 1, 4, 5])
+    with open_recording(path, layout="sony") as recording:
+        frames, info = frames_of(recording), recording.info
+        [last] = frames_of(recording, 160_001)
+    np.testing.assert_array_equal([frame.dn for frame in frames], expected)
+    assert [frame.mid_us for frame in frames] == [0, 40_000, 160_000, 200_000]
+    assert (info.frame_count, info.stop_us) == (4, 200_001)
+    np.testing.assert_array_equal(last.dn, expected[3])
+
+
+def test_two_readers_of_a_video_get_the_same_images(tmp_path):
+    expected = images(np.uint16, 3, top=4095)
+    path = encoded(tmp_path / "a.nut", expected, "rawvideo", "gray12le")
+    with open_recording(path, layout="sony") as recording:
+        first, second = recording.packets(), recording.packets()
+        for image in expected:
+            for packets in first, second:
+                np.testing.assert_array_equal(next(packets).frames[0].dn, image)
 
 
 @pytest.mark.parametrize(("operation", "aop"), [

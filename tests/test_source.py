@@ -132,3 +132,22 @@ def test_a_cropped_frame_is_the_one_that_the_parts_make():
         np.testing.assert_array_equal(getattr(got, name), getattr(wanted, name))
     assert got.dn.flags.c_contiguous
     assert whole.shape == (4, 6)
+
+
+def test_read_only_integers_become_dn_when_they_are_used():
+    stored = np.arange(24, dtype=np.uint16).reshape(4, 6)
+    stored.flags.writeable = False
+    frame = ApsFrame(stored, 0, 5)
+    assert frame.shape == (4, 6)
+    assert frame.replace(full_scale_dn=255).moved(3).exposure_start_us == 3
+    for one in frame, frame.moved(3), frame.cropped(slice(0, 4), slice(0, 6)):
+        assert one.dn.dtype == np.float32
+        np.testing.assert_array_equal(one.dn, stored)
+    assert frame.dn is frame.dn
+
+
+def test_integers_that_can_change_are_copied():
+    buffer = np.ones((2, 2), np.uint16)
+    frame = ApsFrame(buffer, 0, 5)
+    buffer[:] = 9
+    np.testing.assert_array_equal(frame.dn, 1)

@@ -54,7 +54,8 @@ class ApsFrame:
     Parameters
     ----------
     dn : array_like, shape (H, W)
-        Reset minus signal in DN, stored as float32; may be negative.
+        Reset minus signal in DN, as float32; may be negative.  A read-only array of
+        integers is converted when it is first used.
     exposure_start_us, exposure_end_us : int, or ndarray of int, shape (W,)
         Exposure times on the recording's clock; per column for a rolling shutter.
     valid : ndarray of bool, shape (H, W), optional
@@ -72,10 +73,10 @@ class ApsFrame:
         If shapes differ or the exposure ends before it starts.
     """
 
-    __slots__ = ("available_us", "dn", "exposure_end_us", "exposure_start_us",
+    __slots__ = ("_dn", "available_us", "exposure_end_us", "exposure_start_us",
                  "full_scale_dn", "reset", "signal", "valid")
 
-    dn: NDArray[np.float32]
+    _dn: NDArray[Any]
     exposure_start_us: int | NDArray[np.int64]
     exposure_end_us: int | NDArray[np.int64]
     valid: NDArray[np.bool_] | None
@@ -96,16 +97,19 @@ class ApsFrame:
         reset: NDArray[np.uint16] | None = None,
         signal: NDArray[np.uint16] | None = None,
     ) -> None:
-        self.dn = np.ascontiguousarray(dn, np.float32)
-        if self.dn.ndim != 2:
-            raise ValueError(f"dn must be (H, W), got shape {self.dn.shape}")
+        stored = np.asarray(dn)
+        if stored.dtype.kind not in "iu" or stored.flags.writeable:
+            stored = np.ascontiguousarray(stored, np.float32)
+        self._dn = stored
+        if stored.ndim != 2:
+            raise ValueError(f"dn must be (H, W), got shape {stored.shape}")
         for name, array in (("valid", valid), ("reset", reset), ("signal", signal)):
             if array is not None and not isinstance(array, np.ndarray):
                 raise TypeError(
                     f"{name} must be an ndarray, got {type(array).__name__}")
-            if array is not None and array.shape != self.dn.shape:
+            if array is not None and array.shape != stored.shape:
                 raise ValueError(
-                    f"{name} must have dn's shape {self.dn.shape}, got {array.shape}")
+                    f"{name} must have dn's shape {stored.shape}, got {array.shape}")
         if valid is not None and valid.dtype != np.bool_:
             raise TypeError(f"valid must be bool, got {valid.dtype}")
         self.exposure_start_us = self._times("exposure_start_us", exposure_start_us)
@@ -125,6 +129,8 @@ class ApsFrame:
         self.full_scale_dn = whole_number("full_scale_dn", full_scale_dn, 1, MOST_DN)
 
     def _times(self, name: str, value: int | NDArray[Any]) -> int | NDArray[np.int64]:
+        if type(value) is int and abs(value) <= FAR:
+            return value
         array = np.asarray(value)
         if array.dtype.kind not in "iu":
             raise TypeError(f"{name} must be integer microseconds, got {array.dtype}")
@@ -134,17 +140,24 @@ class ApsFrame:
                 f"{array.max()}")
         if array.ndim == 0:
             return int(array)
-        if array.shape != (self.dn.shape[1],):
+        if array.shape != (self._dn.shape[1],):
             raise ValueError(
-                f"{name} must be one number or one per column ({self.dn.shape[1]},), "
+                f"{name} must be one number or one per column ({self._dn.shape[1]},), "
                 f"got shape {array.shape}")
         return np.ascontiguousarray(array, np.int64)
 
     @property
+    def dn(self) -> NDArray[np.float32]:
+        """Reset minus signal in DN, shape (H, W)."""
+        if self._dn.dtype != np.float32:
+            self._dn = np.ascontiguousarray(self._dn, np.float32)
+        return self._dn
+
+    @property
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
-        height, width = self.dn.shape
-        return height, width
+        rows, columns = self._dn.shape
+        return rows, columns
 
     @property
     def mid_us(self) -> int:
@@ -162,7 +175,7 @@ class ApsFrame:
         """Middle of each column's exposure, shape (W,)."""
         start = np.asarray(self.exposure_start_us)
         mid = start + (np.asarray(self.exposure_end_us) - start) // 2
-        return np.broadcast_to(mid, (self.dn.shape[1],)).astype(np.int64)
+        return np.broadcast_to(mid, (self._dn.shape[1],)).astype(np.int64)
 
     @property
     def exposure_ms(self) -> float:
@@ -182,8 +195,8 @@ class ApsFrame:
         -------
         ApsFrame
         """
-        return ApsFrame(**{name: getattr(self, name) for name in self.__slots__}
-                        | changes)
+        return ApsFrame(**{name.lstrip("_"): getattr(self, name)
+                           for name in self.__slots__} | changes)
 
     def moved(self, us: int) -> ApsFrame:
         """Return the frame with exposure times that are later by us.
@@ -206,7 +219,7 @@ class ApsFrame:
             return value if isinstance(value, int) else value[columns]
 
         frame = copy.copy(self)     # what the constructor checks holds for a part, too
-        frame.dn = np.ascontiguousarray(self.dn[rows, columns])
+        frame._dn = np.ascontiguousarray(self._dn[rows, columns], np.float32)
         frame.exposure_start_us = times(self.exposure_start_us)
         frame.exposure_end_us = times(self.exposure_end_us)
         frame.valid, frame.reset, frame.signal = map(
@@ -214,21 +227,9 @@ class ApsFrame:
         return frame
 
     def __repr__(self) -> str:
-        height, width = self.dn.shape
+        height, width = self.shape
         return (f"ApsFrame({width}x{height}, mid {self.mid_us} us, "
                 f"exposure {self.exposure_ms:g} ms)")
-
-
-def _no_events() -> NDArray[Any]:
-    return np.empty(0, EVENT_DTYPE)
-
-
-def _no_imu() -> NDArray[Any]:
-    return np.empty(0, IMU_DTYPE)
-
-
-def _no_triggers() -> NDArray[Any]:
-    return np.empty(0, TRIGGER_DTYPE)
 
 
 def joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
@@ -273,10 +274,13 @@ class Packet:
         nothing happens, so that images need not wait for the next sample.
     """
 
-    events: NDArray[Any] = field(default_factory=_no_events)
+    events: NDArray[Any] = field(
+        default_factory=lambda: np.empty(0, EVENT_DTYPE))
     frames: tuple[ApsFrame, ...] = ()
-    imu: NDArray[Any] = field(default_factory=_no_imu)
-    triggers: NDArray[Any] = field(default_factory=_no_triggers)
+    imu: NDArray[Any] = field(
+        default_factory=lambda: np.empty(0, IMU_DTYPE))
+    triggers: NDArray[Any] = field(
+        default_factory=lambda: np.empty(0, TRIGGER_DTYPE))
     until_us: int | None = None
 
     @property
@@ -566,7 +570,7 @@ class Recording(Source):
         ndarray of EVENT_DTYPE, shape (N,)
             Time-ordered; it belongs to the caller.
         """
-        return joined([_no_events(),
+        return joined([np.empty(0, EVENT_DTYPE),
                        *(p.events for p in self.packets(start_us, stop_us))])
 
     def scan(self) -> Report:

@@ -69,8 +69,9 @@ def colour_spread(mosaic: NDArray[Any]) -> float | None:
     step = max(rows * columns // MOST_CELLS, 1)
     cells = mosaic[:4 * rows, :4 * columns].reshape(rows, 4, 4 * columns)[::step]
     rows = len(cells)
-    blocks = cells.astype(np.float32).reshape(
-        rows, 2, 2, columns, 2, 2).mean(axis=(2, 5))
+    parts = cells.astype(np.float32).reshape(rows, 2, 2, columns, 2, 2)
+    pairs = parts[:, :, 0] + parts[:, :, 1]
+    blocks = (pairs[..., 0] + pairs[..., 1]) / 4
     whole = blocks.mean(axis=(1, 3), keepdims=True)
     # Relative to their cell, so that the scene's brightness cancels.
     relative = (blocks / np.maximum(whole, 1)).transpose(1, 3, 0, 2).reshape(4, -1)

@@ -64,15 +64,21 @@ class VideoPictures(Pictures):
             counted = self._in_order or container.format.name.split(",")[0] in _COUNTED
             # A bare stream has no times: FFmpeg counts 25 per second.
             timed = not container.format.flags & _NO_TIMES
-            self._alone = False
+            self._alone = self._counted = False
             times = self._times(container, stream) if counted else []
             lossless = (codec.codec.lossless and not codec.codec.lossy
                         ) or codec.profile == "High 4:4:4 Predictive"
-        with self._opened() as (container, stream):
-            frame = next(self._frames(container, stream), None)
-            if frame is None:
-                raise RecordingError(f"{path}: holds no image that can be decoded")
-            self._first_us = _time_of(frame) if timed else None
+            frame = None if self._counted else next(
+                self._frames(container, stream), None)
+        if frame is None:
+            with self._opened() as (container, stream):
+                frame = next(self._frames(container, stream), None)
+        if frame is None:
+            raise RecordingError(f"{path}: holds no image that can be decoded")
+        self._first_us = _time_of(frame) if timed else None
+        with readable(path, "video"):
+            # Given to the first reader, who need not decode it again.
+            self._probe: tuple[float | None, NDArray[Any]] | None = self._timed(frame)
             bits = _planar(frame).format.components[0].bits
         self.facts = PictureFacts(
             kind=f"video {name}, {frame.format.name}", count=len(times) or None,
@@ -101,11 +107,19 @@ class VideoPictures(Pictures):
             yield container, stream
 
     def _times(self, container: Any, stream: Any) -> list[float]:
-        """Return the time of each image in us, [] if a packet has none."""
+        """Return the time of each image in us, [] if it takes reading all of them."""
         # Some containers state when to decode, which is the same without reordering.
-        found = [(packet.dts if packet.pts is None and self._in_order else packet.pts,
-                  packet.is_keyframe) for packet in container.demux(stream)
-                 if packet.size]
+        index = stream.index_entries
+        if self._in_order and len(index) == stream.frames > 0:
+            found = [(entry.timestamp, entry.is_keyframe) for entry in index
+                     if entry.size and not entry.is_discard]
+        elif not stream.frames and stream.codec_context.name == "rawvideo":
+            return []       # packets are as large as images: no cheaper to count
+        else:
+            self._counted = True
+            found = [(packet.dts if packet.pts is None and self._in_order else
+                      packet.pts, packet.is_keyframe)
+                     for packet in container.demux(stream) if packet.size]
         self._alone = all(key for _, key in found)
         times = [time for time, _ in found]
         if None in times or len(set(times)) < len(times):
@@ -126,6 +140,10 @@ class VideoPictures(Pictures):
     def images(self, first: int = 0) -> Images:
         """Iterate over the images; see `Pictures`."""
         known = self.facts.elapsed_us
+        probe, self._probe = self._probe, None
+        if probe is not None and first == 0:
+            yield probe
+            first = 1
         with self._opened() as (container, stream):
             start: float | None = None
             if first and self._alone and known is not None:
@@ -138,8 +156,13 @@ class VideoPictures(Pictures):
                 if k < first or (start is not None and time is not None
                                  and time < start - 1):
                     continue
-                yield (None if time is None or self._first_us is None
-                       else time - self._first_us), self._grey(frame)
+                yield self._timed(frame)
+
+    def _timed(self, frame: Any) -> tuple[float | None, NDArray[Any]]:
+        """Return time and grey plane of a frame."""
+        time = _time_of(frame)
+        return (None if time is None or self._first_us is None
+                else time - self._first_us), self._grey(frame)
 
     def _grey(self, frame: Any) -> NDArray[Any]:
         """Return the grey plane of a frame, with all its bits."""
@@ -156,7 +179,8 @@ class VideoPictures(Pictures):
             raise RecordingError(f"{self._path}: the video must be grey, got colour")
         if (len(planes) == 1 or self._raw_luma or frame.format.name.startswith("gbr")
                 or "yuvj" in frame.format.name or frame.color_range == _FULL_RANGE):
-            return planes[0]    # a view: the receiver converts it
+            planes[0].flags.writeable = False   # so that ApsFrame converts it later
+            return planes[0]
         # Luma of video is 16 .. 235 of 256.
         black, top = 16 << (bits - 8), (1 << bits) - 1
         scaled: NDArray[Any] = np.clip((planes[0].astype(np.float32) - black) * (
@@ -166,7 +190,10 @@ class VideoPictures(Pictures):
 
 def _time_of(frame: Any) -> float | None:
     """Return the time of a frame in us, None if it has none."""
-    return None if frame.pts is None else float(frame.pts * frame.time_base * 1_000_000)
+    if frame.pts is None:
+        return None
+    unit = frame.time_base      # products of Fractions are slow
+    return float(frame.pts * 1_000_000 * unit.numerator / unit.denominator)
 
 
 def _planar(frame: Any) -> Any:
