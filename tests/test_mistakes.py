@@ -83,6 +83,15 @@ def test_times_far_from_the_recordings_are_refused(times):
         pdavis_cv.fuse(moved, **times)
 
 
+def test_a_stop_after_the_end_takes_all_images():
+    short = pdavis_cv.recording_from_arrays(
+        random_events(100, (8, 8), stop_us=1000), sensor_size=(8, 8), layout="pdavis")
+    images = [list(pdavis_cv.fuse(short, fps=4000, **stop))
+              for stop in ({}, {"stop_us": 10**9})]
+    assert [image.t_us for image in images[0]] == [image.t_us for image in images[1]]
+    assert images[0]
+
+
 def test_fuse_says_how_what_it_was_given_is_opened():
     for source in "simulate:fan", TENDON:
         with pytest.raises(TypeError, match=r"open_recording\(.*open_source\(address"):

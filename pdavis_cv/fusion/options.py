@@ -270,7 +270,8 @@ def check_times_fit(options: FusionOptions, info: RecordingInfo) -> None:
     """Raise ValueError if the images lie further from a recording than it is long.
 
     So do seconds, or times from its start, in place of its own microseconds.  Some of
-    ``times_us`` may.  Where the file does not tell its end, nothing is checked.
+    ``times_us`` may, and a ``stop_us`` after the end takes all.  Where the file does
+    not tell its end, nothing is checked.
     """
     if info.start_us is None or info.stop_us is None:
         return
@@ -280,7 +281,8 @@ def check_times_fit(options: FusionOptions, info: RecordingInfo) -> None:
     if options.times is not None and len(options.times):
         given.append(("times_us", int(options.times[0]), int(options.times[-1])))
     for name, first, last in given:
-        if last < info.start_us - span or first > info.stop_us + span:
+        late = first > info.stop_us + span and name != "stop_us"
+        if last < info.start_us - span or late:
             raise ValueError(
                 f"{name} must be microseconds of the recording's clock, which runs "
                 f"from {info.start_us} to {info.stop_us}, got {first}")
