@@ -33,6 +33,22 @@ from ._event_words import (
 )
 from ._events import count, surface, voxel
 from ._guided import guided
+from ._increments import (
+    increments_commit,
+    increments_drop,
+    increments_push,
+    increments_weigh,
+)
+from ._increments_frames import (
+    increments_around,
+    increments_back,
+    increments_close,
+    increments_differ,
+    increments_mean,
+    increments_node,
+    increments_pass,
+)
+from ._increments_read import increments_image, increments_move
 from ._kalman import kalman_frame, kalman_inflate
 from ._lamp import lamp_push, lamp_wave
 from ._leaky import (
@@ -47,6 +63,12 @@ from ._leaky import (
     leak_read,
     leak_shown,
     mean_around,
+)
+from ._learning import (
+    learning_around,
+    learning_means,
+    learning_past,
+    learning_silences,
 )
 from ._network import voxel_planes
 from ._packed import unpack_10p, unpack_12p, unpack_packed
@@ -110,6 +132,19 @@ __all__ = [
     "fan_stokes",
     "guided",
     "hue_bgr",
+    "increments_around",
+    "increments_back",
+    "increments_close",
+    "increments_commit",
+    "increments_differ",
+    "increments_drop",
+    "increments_image",
+    "increments_mean",
+    "increments_move",
+    "increments_node",
+    "increments_pass",
+    "increments_push",
+    "increments_weigh",
     "kalman_frame",
     "kalman_inflate",
     "kalman_read",
@@ -124,6 +159,10 @@ __all__ = [
     "leak_held",
     "leak_read",
     "leak_shown",
+    "learning_around",
+    "learning_means",
+    "learning_past",
+    "learning_silences",
     "log_frame",
     "mean_around",
     "mismatch",

@@ -44,6 +44,19 @@ __all__ = [
     "fan_stokes",
     "guided",
     "hue_bgr",
+    "increments_around",
+    "increments_back",
+    "increments_close",
+    "increments_commit",
+    "increments_differ",
+    "increments_drop",
+    "increments_image",
+    "increments_mean",
+    "increments_move",
+    "increments_node",
+    "increments_pass",
+    "increments_push",
+    "increments_weigh",
     "kalman_frame",
     "kalman_inflate",
     "kalman_read",
@@ -58,6 +71,10 @@ __all__ = [
     "leak_held",
     "leak_read",
     "leak_shown",
+    "learning_around",
+    "learning_means",
+    "learning_past",
+    "learning_silences",
     "log_frame",
     "mean_around",
     "mismatch",
@@ -214,6 +231,57 @@ def guided(
     mosaic: NDArray[_Pixel], clean: _U8, variance: _F32, places: NDArray[np.intp],
     constants: NDArray[Any], scratch: _F32, out: _F32,
 ) -> None: ...
+def increments_around(
+    pixels: NDArray[Any], store: NDArray[Any], times: _I64, known: int, ahead: int,
+    camera: _F64, again: bool, nodes: NDArray[Any], planes: _F64,
+    bands: tuple[int, int],
+) -> None: ...
+def increments_back(
+    before: NDArray[Any], old: NDArray[Any], new: NDArray[Any], seconds: _F64,
+    camera: _F64, anchors: NDArray[Any], back: _F32, begin: bool,
+    bands: tuple[int, int],
+) -> None: ...
+def increments_close(
+    pixels: NDArray[Any], store: NDArray[Any], exposure: _I64, middle: _I64,
+    samples: int, ahead: int, oldest: int, camera: _F64, waves: NDArray[Any],
+    nodes: NDArray[Any], planes: _F64 | None,
+) -> None: ...
+def increments_commit(
+    store: NDArray[Any], at: int, stop: int, until: int, pixels: NDArray[Any],
+    moving: _I32, listed: int,
+) -> tuple[int, int]: ...
+def increments_differ(
+    new: _F64, old: _F64, anchors: NDArray[Any], out: _F32, bands: tuple[int, int],
+) -> None: ...
+def increments_drop(
+    store: NDArray[Any], stop: int, by: int, pixels: NDArray[Any],
+) -> None: ...
+def increments_image(
+    planes: _F32, around: _F32 | None, times: tuple[int, int], waves: NDArray[Any],
+    black: float, most: float, out: tuple[_F32, _F32, _U8], bands: tuple[int, int],
+) -> None: ...
+def increments_mean(planes: _F32, out: _F32, bands: tuple[int, int]) -> None: ...
+def increments_move(
+    pixels: NDArray[Any], store: NDArray[Any], frames: tuple[Any, ...],
+    times: tuple[int, int, int], camera: _F64, moving: _I32, moves: _U8,
+    shown: NDArray[Any], planes: _F32, around: _F32 | None, bands: tuple[int, int],
+) -> None: ...
+def increments_node(
+    pixels: NDArray[Any], store: NDArray[Any], exposure: _I64, samples: int,
+    known: int, camera: _F64, waves: NDArray[Any], again: bool, nodes: NDArray[Any],
+    bands: tuple[int, int],
+) -> None: ...
+def increments_pass(
+    old: NDArray[Any], new: NDArray[Any], seconds: _F64, camera: _F64,
+    anchors: NDArray[Any], middles: _F32, bands: tuple[int, int],
+) -> None: ...
+def increments_push(
+    events: NDArray[Any], last: int, first: int, at: int, store: NDArray[Any],
+    pixels: NDArray[Any], camera: _F64, moving: _I32, listed: int,
+) -> tuple[int, int]: ...
+def increments_weigh(
+    store: NDArray[Any], stop: int, first: int, pixels: NDArray[Any], camera: _F64,
+) -> None: ...
 def kalman_frame(
     frame: tuple[NDArray[Any], NDArray[Any], int], chain: _Pair, committed: int,
     model: _Pair, tracks: NDArray[Any], states: NDArray[Any], innovations: _F64,
@@ -251,6 +319,21 @@ def lasting_degree(
     lasting: _F32, analyser: _F32, shown: tuple[_F32, _F32, _U8], rows: tuple[int, int],
     out: _F32,
 ) -> None: ...
+def learning_around(
+    events: NDArray[Any], start: _I64, places: _I32, times: _I64, known: _I64,
+    lags: _F64, camera: _F64, out: _F32,
+) -> None: ...
+def learning_means(
+    events: NDArray[Any], start: _I64, pixel: _I32, span: _I64, ahead: int, log: _F64,
+    samples: int, camera: _F64, factor: _F64, out: _F64,
+) -> None: ...
+def learning_past(
+    events: NDArray[Any], start: _I64, first: _I64, camera: _F64,
+) -> None: ...
+def learning_silences(
+    events: NDArray[Any], start: _I64, pixels: _I32, times: _I64, ahead: int,
+    camera: _F64, rows: _F64, target: _F64,
+) -> int: ...
 def leak_events(
     events: NDArray[Any], step: _F32, last: int, cells: NDArray[Any]
 ) -> int: ...

@@ -20,6 +20,7 @@ LINES = (
     ("calibration",),
     ("simulation",),
     ("reconstruct",),
+    ("pixel",),
     ("recording",),
     ("polarimetry", "stokes_vector", "analyser", "mosaic", "aps", "packed", "events",
      "quantities"),

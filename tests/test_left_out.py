@@ -366,20 +366,21 @@ def test_redundancy_without_polarizers_is_refused_or_left_out(tmp_path, capsys):
     assert score.main([str(path), "--methods", "events, redundancy"]) == 2
     assert "'events, redundancy' needs polarizers" in capsys.readouterr().err
     assert score._possible(score.trials(), None, plain) == [
-        "frames", "cf", "cf causal", "kalman", "kalman causal", "kalman offline"]
+        "frames", "cf", "cf causal", "kalman", "kalman causal", "kalman offline",
+        "increments", "increments causal", "increments offline"]
 
 
 def test_every_method_can_be_scored_and_networks_only_if_asked_for(file):
     known = score.trials()
     assert list(known) == [
         "frames", "events, redundancy", "events, redundancy causal", "cf", "cf causal",
-        "kalman", "kalman causal", "kalman offline", "firenet", "firenet causal",
-        "joint", "joint causal"]
+        "kalman", "kalman causal", "kalman offline", "increments", "increments causal",
+        "increments offline", "firenet", "firenet causal", "joint", "joint causal"]
     assert [name for name, one in known.items() if one.relative] == [
         "events, redundancy", "events, redundancy causal", "firenet", "firenet causal",
         "joint", "joint causal"]
     with open_recording(file) as recording:
-        assert score._possible(known, None, recording) == list(known)[:8]
+        assert score._possible(known, None, recording) == list(known)[:11]
 
 
 def row(method, moving, static, pixels=1000, cell=0.5):

@@ -16,12 +16,15 @@ from pdavis_cv import (
 )
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.fusion import Fusion
+from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.reconstruct.base import nbytes
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 
 NOMINAL = (0.16, 0.18)
+MODEL = PixelModel(theta=np.array([0.18, 0.16]))
 METHODS = [
     {"method": "frames"}, {"method": "cf"}, {"method": "kalman"},
+    {"method": "increments", "model": MODEL},
     {"method": "kalman", "denoise": True}, {"method": "kalman", "roi": (2, 2, 4, 4)},
     {"method": "events"}, {"method": "events", "offsets": "redundancy"},
     {"method": "firenet"}, {"method": "joint"},
@@ -73,7 +76,8 @@ def assert_same(images, others):
 
 @pytest.mark.parametrize("grid", [
     {"fps": 47}, pytest.param({}, marks=pytest.mark.gate)])
-@pytest.mark.parametrize("options", METHODS, ids=str)
+@pytest.mark.parametrize("options", METHODS, ids=lambda options: " ".join(
+    str(value) for key, value in options.items() if key != "model"))
 @pytest.mark.parametrize("causal", [True, False])
 def test_one_pass_gives_the_bits_of_the_recording(recording, options, grid, causal):
     if "denoise" in options and not causal:

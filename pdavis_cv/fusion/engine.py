@@ -107,7 +107,8 @@ class Fusion:
             {} if options.denoise is True else options.denoise)
         probe, parameters = self._probe_method()
         self._lookahead_us = probe.lookahead_us
-        self._learning = Learning(recording, options, parameters, self.needs)
+        self._learning = Learning(
+            recording, options, parameters, self.needs, probe.lookahead_us)
         self._workers = Workers(options.threads)
         self._clock_us = self._learning.prior.clock_us
         self.roi = roi

@@ -21,6 +21,7 @@ from pdavis_cv.calibration.thresholds import resolve_thresholds, threshold_origi
 from pdavis_cv.fusion.feed import Feed
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.fusion.tuning import Tuning
+from pdavis_cv.pixel.learn import Priors, prior_model
 from pdavis_cv.reconstruct.base import Needs
 from pdavis_cv.reconstruct.kalman import CALIBRATED_NOISE, NOISE
 from pdavis_cv.reconstruct.lamp import LampTracker
@@ -56,6 +57,14 @@ error of their scale; the filter takes the errors as independent, which understa
 sigma of the scale by this factor."""
 
 
+_STATED_SIGMA, _NOMINAL_SIGMA = 0.05, 0.5
+"""Relative error of thresholds that were measured, and of others: those of bias or data
+sheet may be wrong by half."""
+
+_USUAL_CLOCK_US = 0.0, 5000.0
+"""Offset of the frames' clock and its standard deviation, us: seen were -6 to 4 ms."""
+
+
 class Learning:
     """Which parameters of a method are estimated, and how an estimate is applied.
 
@@ -69,6 +78,8 @@ class Learning:
         Parameters of the method that the caller states.
     needs : Needs
         Inputs that the method needs.
+    lookahead_us : int or None
+        That of the method.
 
     Raises
     ------
@@ -78,8 +89,9 @@ class Learning:
 
     def __init__(
         self, source: Source, options: FusionOptions, parameters: Parameters,
-        needs: Needs,
+        needs: Needs, lookahead_us: int | None = 0,
     ) -> None:
+        self._lookahead_us = lookahead_us or 0
         self._info, self._calibration = source.info, options.calibration
         self._needs = needs
         on, off = resolve_thresholds(
@@ -95,9 +107,13 @@ class Learning:
         wanted = set(needs.learned - known.keys())
         # Others that are wanted below only tell how certain these are.
         self._learned = frozenset(wanted)
-        if needs.frames and wanted <= {"jitter_us", "ratio_sigma", "refractory_us"}:
+        if "model" in wanted:
+            pass                # it has thresholds, bandwidth and all else
+        elif needs.frames and wanted <= {"jitter_us", "ratio_sigma", "refractory_us"}:
             wanted = set()      # alone they do not justify reading ahead
-        if options.thresholds == "in-situ":
+        if "model" in wanted:
+            pass
+        elif options.thresholds == "in-situ":
             # Thresholds of each pixel need a window of data that a passing stream
             # does not keep.
             wanted.add("scale" if options.causal else "thresholds")
@@ -119,10 +135,15 @@ class Learning:
             else wanted & OF_EVENTS & (needs.learned | {"event_scale"}))
         self.uses_frames = not self.wanted <= OF_EVENTS
         self.thresholds = Fact((on, off), MEASURED if self.wanted & {
-            "scale", "thresholds"} else threshold_origin(
+            "scale", "thresholds", "model"} else threshold_origin(
                 source, options.thresholds, options.nominal_thresholds,
                 self._calibration))
         self._stated = _stated_bandwidth(self._calibration)
+        self._learns = None
+        if "model" in needs.learned:
+            self._learns = self._priors(options, (off, on), clock)
+            if "model" not in known:
+                known["model"] = prior_model(self._learns, self._lookahead_us)
         if "bandwidth" in wanted:
             # Images follow before any estimate: start from a typical camera's value.
             known["bandwidth"] = self._stated or (
@@ -137,6 +158,23 @@ class Learning:
             known["ratio_sigma"] = RATIO_SIGMA
         self.prior = Tuning(on, off, known, clock or ClockOffset(
             0.0, CLOCK_OFFSET_SIGMA_US))
+
+    def _priors(
+        self, options: FusionOptions, thetas: tuple[ArrayLike, ArrayLike],
+        clock: ClockOffset | None,
+    ) -> Priors:
+        """Return what is known of the pixels beforehand."""
+        known = self._calibration is not None and self._calibration.theta_on is not None
+        stated = options.thresholds is not None and options.thresholds not in (
+            "in-situ", "bias", "nominal")
+        law = self._stated
+        return Priors(
+            theta=(float(np.asarray(thetas[0], float).mean()),
+                   float(np.asarray(thetas[1], float).mean())),
+            theta_sigma=_STATED_SIGMA if known or stated else _NOMINAL_SIGMA,
+            clock_us=_USUAL_CLOCK_US if clock is None else None,
+            **({} if law is None else {
+                "bandwidth": law[:2], "bandwidth_sigma": (law[2], law[2])}))
 
     def _of_calibration(self, options: FusionOptions) -> dict[str, Any]:
         """Return the parameters known from calibration and sensor.
@@ -168,11 +206,16 @@ class Learning:
             self._info.sensor_size, (self.prior.theta_on, self.prior.theta_off),
             sensor=self._info.sensor, stated_bandwidth=self._stated,
             dark=self._calibration is not None and self._calibration.dark is not None,
-            every_pixel="thresholds" in self.wanted)
+            every_pixel="thresholds" in self.wanted,
+            learns=self._learns if "model" in self.wanted else None)
 
     def estimate(self, camera: SelfCalibration) -> CameraEstimate:
         """Return the estimate of an estimator that has been fed."""
         wanted = set(self.wanted)
+        if "model" in wanted:
+            return camera.estimate(
+                wanted=wanted, clock_offset_us=self.prior.clock_us,
+                lookahead_us=self._lookahead_us)
         if self.uses_frames and "bandwidth" not in self.prior.parameters:
             wanted.add("bandwidth")      # the thresholds need it, if not the method
         return camera.estimate(
@@ -215,6 +258,8 @@ class Learning:
     def tuned(self, tuning: Tuning, estimate: CameraEstimate) -> Tuning:
         """Return a tuning in which an estimate replaces the parameters it gives."""
         found: dict[str, Any] = {}
+        if "model" in self.wanted and estimate.pixels is not None:
+            found["model"] = estimate.pixels.model
         if "bandwidth" in self.wanted and estimate.bandwidth is not None:
             found["bandwidth"] = (*estimate.bandwidth.law, estimate.bandwidth.sigma)
         if "noise" in self.wanted and estimate.noise is not None:

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv._checks import sensor_shape
 from pdavis_cv._types import Events, State
 from pdavis_cv.events import timed_events
+from pdavis_cv.pixel import sample as pixel_sample
+from pdavis_cv.pixel.learn import LearnedPixels, Priors, learn
 from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.reconstruct.stream_clock import checked_bandwidth
@@ -27,7 +29,11 @@ from pdavis_cv.selfcal.pixel_sample import (
     PixelSample,
     select_busy_pixels,
 )
-from pdavis_cv.selfcal.priors import LEAK_HZ, THRESHOLD_SIGMA
+from pdavis_cv.selfcal.priors import (
+    CLOCK_OFFSET_SIGMA_US,
+    LEAK_HZ,
+    THRESHOLD_SIGMA,
+)
 from pdavis_cv.selfcal.ratio_spread import RatioSpread, fit_ratio_spread
 from pdavis_cv.selfcal.refractory import Refractory, fit_refractory
 from pdavis_cv.selfcal.thresholds import shrink_to_population, variance_inflation
@@ -38,7 +44,8 @@ from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Sensor
 __all__ = ["OF_EVENTS", "QUANTITIES", "CameraEstimate", "SelfCalibration"]
 
 QUANTITIES = frozenset({"thresholds", "scale", "event_scale", "bandwidth", "noise",
-                        "refractory_us", "jitter_us", "clock_offset", "ratio_sigma"})
+                        "refractory_us", "jitter_us", "clock_offset", "ratio_sigma",
+                        "model"})
 """Quantities that a `SelfCalibration` can estimate: thresholds of every pixel (which
 include the common scale), or only that scale, from frames or, where they do not tell
 it, from events, or from events alone; bandwidth; event noise; refractory period; jitter
@@ -96,6 +103,8 @@ class CameraEstimate:
         the error of their ln that all pixels share: root mean square over what the
         estimate leaves possible.  0 with a `common_scale_sigma` of 0: it could not be
         estimated.
+    pixels : LearnedPixels or None
+        What `IncrementFilter` takes; None if it was not wanted.
     """
 
     theta_on: NDArray[np.float64]
@@ -109,6 +118,7 @@ class CameraEstimate:
     clock_offset: ClockOffset | None = None
     ratio_spread: RatioSpread | None = None
     nominal_sigma: float = 0.0
+    pixels: LearnedPixels | None = None
 
     @property
     def sigma(self) -> NDArray[np.float64]:
@@ -162,6 +172,9 @@ class SelfCalibration:
         bandwidth are corrected for the mean; the covariance includes the deviation.
     threshold_sigma : float
         Prior standard deviation of a pixel's thresholds about `nominal`, ln units.
+    learns : Priors, optional
+        What is known beforehand of what `IncrementFilter` takes; default: that is not
+        learned.
     every_pixel : bool
         Keep the data that an estimate of every pixel's thresholds needs; without it,
         memory is small and the window moves with the stream.
@@ -180,6 +193,7 @@ class SelfCalibration:
         stated_bandwidth: tuple[float, float, float] | None = None,
         leak_hz: tuple[float, float] = LEAK_HZ,
         threshold_sigma: float = THRESHOLD_SIGMA, every_pixel: bool = True,
+        learns: Priors | None = None,
     ) -> None:
         if not threshold_sigma > 0:
             raise ValueError(
@@ -195,6 +209,9 @@ class SelfCalibration:
         self._sigma = float(threshold_sigma)
         self._window, self._cells = PixelWindow(self.shape), CellWindow(self.shape)
         self._whole = SensorWindow(self.shape) if every_pixel else None
+        self._learns = learns
+        self._pixels = None if learns is None else pixel_sample.PixelSample(
+            self.shape)
 
     @property
     def full(self) -> bool:
@@ -212,12 +229,16 @@ class SelfCalibration:
         if len(events):
             self._window.add_events(events)
             self._cells.add_events(events)
+            if self._pixels is not None:
+                self._pixels.add_events(events)
             if self._whole is not None:
                 self._whole.add(events)
 
     def add_frame(self, frame: ApsFrame) -> None:
         """Take a frame of the whole sensor, corrected, in order of mid-exposure."""
         self._window.add_frame(frame)
+        if self._pixels is not None:
+            self._pixels.add_frame(frame)
         if self._whole is not None:
             self._whole.add(frame)
 
@@ -230,6 +251,7 @@ class SelfCalibration:
     def estimate(
         self, *, wanted: Collection[str] = QUANTITIES,
         bandwidth: Sequence[float] | None = None, clock_offset_us: int = 0,
+        lookahead_us: int = 0,
     ) -> CameraEstimate:
         """Return the estimate from the data kept, which do not change.
 
@@ -241,6 +263,8 @@ class SelfCalibration:
             Used if "bandwidth" is not wanted; default: no lag.
         clock_offset_us : int
             Shift of the frames' time stamps if "clock_offset" is not wanted, us.
+        lookahead_us : int
+            That of the method, for "model".
 
         Returns
         -------
@@ -257,6 +281,14 @@ class SelfCalibration:
                   if "ratio_sigma" in wanted else None)
         jitter = (fit_jitter(self._window)
                   if "jitter_us" in wanted and not self._window.flickers else None)
+        if self._pixels is not None and self._learns is not None and "model" in wanted:
+            found_ = learn(self._pixels, self._learns, lookahead_us)
+            on, off = (np.broadcast_to(value, self.shape) for value in self._nominal)
+            offset = found_.clock_offset_us
+            return CameraEstimate(
+                theta_on=on, theta_off=off, ratio_spread=spread, pixels=found_,
+                clock_offset=None if self._learns.clock_us is None else ClockOffset(
+                    offset, 0.0 if offset else CLOCK_OFFSET_SIGMA_US))
         sample = None if OF_EVENTS.issuperset(wanted) else select_busy_pixels(
             self._window, self._nominal, self._leak_hz)
         found: Bandwidth | None = None
@@ -365,18 +397,22 @@ class SelfCalibration:
     def nbytes(self) -> int:
         """Bytes of the data kept."""
         return self._window.nbytes + self._cells.nbytes + (
+            0 if self._pixels is None else self._pixels.nbytes) + (
             0 if self._whole is None else self._whole.nbytes)
 
     def state(self) -> State:
         """Return the data kept; they are never changed in place."""
         return {"window": self._window.state(),
                 "cells": self._cells.state(),
+                "pixels": None if self._pixels is None else self._pixels.state(),
                 "whole": None if self._whole is None else self._whole.state()}
 
     def restore(self, state: State) -> None:
         """Return to what `state` returned."""
         self._window.restore(state["window"])
         self._cells.restore(state["cells"])
+        if self._pixels is not None:
+            self._pixels.restore(state["pixels"])
         if self._whole is not None:
             self._whole.restore(state["whole"])
 

@@ -1,0 +1,253 @@
+/* What the events of a pixel say of its light: docs/theory/increments.md, equations (2)
+   to (6).  Times are s, counts are signed numbers of thresholds, OFF first. */
+#ifndef PDAVIS_CV_INCREMENTS_H
+#define PDAVIS_CV_INCREMENTS_H
+
+#include "_clones.h"
+#include "_math.h"
+
+#define GAP_CLASSES 5           /* hats in ln(gap), centred at 2, 8, 32, 128, 512 ms */
+#define FIRST_GAP 2e-3
+#define LN_CLASS 1.3862943611198906     /* ln 4, between the centres */
+#define CONTEXTS 4
+#define RATIOS 5                /* silence / gap before it: 1/4, 1/2, 1, 2, 4 */
+#define FIRST_RATIO 0.25
+#define LAGS 6
+#define TURN 0.268              /* turn of a parabola after a gap of unknown pace */
+/* 3 - 2 sqrt 2: the turn that just reaches a threshold */
+#define EARLIEST_TURN 0.17157287525380990
+#define LEAST_GAP 1e-5
+#define LEAST_SILENCE 1e-6
+#define RESTS 2.5               /* rest times after which light is still */
+#define AT_REST (1.0 / (1.0 + RESTS * RESTS * RESTS * RESTS))
+#define PER_TURN_2 0.15915494309189535  /* 1 / (2 pi) */
+
+/* Constants of the filter: times, gates, hot pixels (docs/theory/increments.md). */
+#define PD_NEVER ((int64_t)1 << 62)
+#define PD_GATE 16.0            /* squared sigmas beyond which a frame starts anew */
+#define PD_LEAST_LIGHT 0.005    /* share of the black level; numerical */
+#define PD_CLAIM 0.5            /* as CLAIM_SHARE ... HOT_SAMPLES of _hot.pxd */
+#define PD_SHOWN 0.25
+#define PD_PRIOR_ODDS 6.91
+#define PD_MORE 4.5
+#define PD_LESS 2.29
+#define PD_HOT_MEMORY 8.0
+#define PD_UNKNOWN 1e3          /* variance of a pixel without a sample */
+/* s since an event, and growth, of the times between which a silence is linear. */
+#define PD_SMOOTH_FROM 0.045
+#define PD_KNOT 1.1
+
+/* A camera as the kernels take it; the fields of `PixelModel.numbers`, all doubles. */
+typedef struct {
+    double rest;                /* s: a gap in which light is as likely still */
+    double dead;                /* s: dead time after an event */
+    double hz, hz_per_light;    /* corner frequency: Hz, Hz per DN/ms */
+    double black;               /* DN/ms that frames lack */
+    double alpha, beta, gamma;  /* noise: per s, of a change, per threshold (ln^2) */
+    double theta[2];            /* ln: OFF, ON */
+    double theta_cov[3];        /* OFF OFF, OFF ON, ON ON */
+    double spread2;             /* of the pixels' gains, squared */
+    double by_class[2][GAP_CLASSES];
+    double end[CONTEXTS][RATIOS], bow[CONTEXTS][RATIOS], open[CONTEXTS][RATIOS];
+    double lag[LAGS];           /* s */
+    double own[LAGS][2], cell[LAGS][2], near[LAGS][2];
+    double own_now[2], cell_now[2], near_now[2];
+} camera_t;
+
+/* The events around a time t: the last one at or before it, and the next one. */
+typedef struct {
+    double since;               /* s from the last one to t */
+    double gap;                 /* s from the last to the next one; 0: not known */
+    double silent;              /* s from the last one to the end of what is known */
+    double before;              /* s from the one before to the last one */
+    double next_weight;         /* thresholds that the next one stands for */
+    double drift;               /* ln: change of the lamp's ripple until then, negated */
+    int sign, next_sign;        /* -1 OFF, 1 ON */
+    int context;                /* 0, 1: the last three have one sign, gaps shorten or
+                                   lengthen; 2: the last two have; 3: they differ */
+    int flickers;               /* the lamp's ripple is known, and turns are its own */
+} around_t;
+
+/* Probability that light moved all through a gap; else it rests and then jumps.  (3) */
+PDAVIS_INLINE double moves(double gap, const camera_t *c)
+{
+    double x = gap / c->rest;
+    x *= x;
+    return 1.0 / (1.0 + x * x);
+}
+
+/* The same of a silence that goes on: less what is left at RESTS rest times, from which
+   on the light counts as still. */
+PDAVIS_INLINE double goes_on(double gap, const camera_t *c)
+{
+    double left = moves(gap, c) - AT_REST;
+    return left > 0.0 ? left / (1.0 - AT_REST) : 0.0;
+}
+
+/* Thresholds that an event stands for: light went on in the dead time.  (4) */
+PDAVIS_INLINE double weight_of(double before, int same, const camera_t *c)
+{
+    double live = before - c->dead;
+    if (!same || c->dead <= 0.0)
+        return 1.0;
+    return 1.0 + c->dead / (live > c->dead ? live : c->dead);
+}
+
+/* Change of light by an event after a gap, by its class. */
+PDAVIS_INLINE double step_of(double before, int on, const camera_t *c)
+{
+    double x, part;
+    int i;
+    x = pd_log((float)(before > 1e-6 ? before : 1e-6) / (float)FIRST_GAP) / LN_CLASS;
+    x = x > 0.0 ? x : 0.0;
+    x = x < GAP_CLASSES - 1.000001 ? x : GAP_CLASSES - 1.000001;
+    i = (int)x;
+    part = x - i;
+    return c->theta[on] + (1.0 - part) * c->by_class[on][i]
+           + part * c->by_class[on][i + 1];
+}
+
+PDAVIS_INLINE int context_of(int run, double before, double before2)
+{
+    return run < 2 ? 3 : run < 3 ? 2 : before < before2 ? 0 : 1;
+}
+
+/* Node of a ratio of silence to the gap before, and the share of the next node. */
+PDAVIS_INLINE int node_of(double ratio, double *share)
+{
+    double low = FIRST_RATIO;
+    int node = 0;
+    while (node < RATIOS - 2 && ratio > 2.0 * low) {
+        node++;
+        low *= 2.0;
+    }
+    *share = (ratio - low) / low;
+    *share = *share < 1.0 ? *share : 1.0;
+    return node;
+}
+
+/* Parts of a threshold passed since the last event, OFF and ON, and their rates per s.
+   (2a) to (2c) */
+PDAVIS_INLINE void part_of(const around_t *a, const camera_t *c, double part[2],
+                           double rate[2])
+{
+    int on = a->sign > 0;
+    part[0] = part[1] = rate[0] = rate[1] = 0.0;
+    if (a->gap > 0.0) {
+        double s = a->since / a->gap, p = moves(a->gap, c) * a->next_weight;
+        int to = a->next_sign > 0;
+        part[to] = a->next_sign * s * p;
+        rate[to] = a->next_sign * p / a->gap;
+        if (a->next_sign != a->sign && !a->flickers) {
+            double q = TURN;
+            if (a->context < 3) {
+                q = a->before / a->gap;
+                q = q < EARLIEST_TURN ? EARLIEST_TURN : q > 1.0 ? 1.0 : q;
+            }
+            part[on] = a->sign * s * (1.0 - s) / q * p;
+            rate[on] = a->sign * (1.0 - 2.0 * s) / q * p / a->gap;
+        }
+    } else if (!a->flickers) {
+        double length = a->silent > LEAST_SILENCE ? a->silent : LEAST_SILENCE;
+        double before = a->before > LEAST_GAP ? a->before : LEAST_GAP, share, end, bow;
+        double ratio = length / before, s = a->since / length, z;
+        int node = node_of(ratio, &share);
+        const double *e = &c->end[a->context][node], *b = &c->bow[a->context][node];
+        end = e[0] + share * (e[1] - e[0]);
+        bow = 4.0 * (b[0] + share * (b[1] - b[0]));
+        if (ratio < FIRST_RATIO)
+            end = c->end[a->context][0] * ratio / FIRST_RATIO;
+        z = a->sign * goes_on(length > before ? length : before, c);
+        part[on] = z * s * (end + bow * (1.0 - s));
+        rate[on] = z * (end + bow * (1.0 - 2.0 * s)) / length;
+    }
+}
+
+/* What light passed since the last event because the lamp's ripple changed, and its
+   rate per s: an event stands for the sum of both. */
+PDAVIS_INLINE double drift_of(const around_t *a, const camera_t *c, double *rate)
+{
+    *rate = 0.0;
+    if (a->gap <= 0.0 || a->drift == 0.0)
+        return 0.0;
+    *rate = a->drift * moves(a->gap, c) / a->gap;
+    return *rate * a->since;
+}
+
+/* Variance of the part of a silence whose end is not known, thresholds^2. */
+PDAVIS_INLINE double open_variance(const around_t *a, const camera_t *c)
+{
+    double length, before, share, ratio, s, v;
+    const double *o;
+    if (a->gap > 0.0)
+        return 0.0;
+    length = a->silent > LEAST_SILENCE ? a->silent : LEAST_SILENCE;
+    before = a->before > LEAST_GAP ? a->before : LEAST_GAP;
+    ratio = length / before;
+    s = a->since / length;
+    o = &c->open[a->context][node_of(ratio, &share)];
+    v = o[0] + share * (o[1] - o[0]);
+    if (ratio < FIRST_RATIO)
+        v = c->open[a->context][0] * (0.2 + 0.8 * ratio / FIRST_RATIO);
+    v *= goes_on(length > before ? length : before, c);
+    return v * (s > 0.5 ? s : 2.0 * s * (1.0 - s));
+}
+
+/* A row of an image: planes (level at the epoch, its slope, variance, its slope and
+   curvature per s), what other pixels say and the lamp's ripple, to ln light, its
+   variance and validity. */
+PDAVIS_CLONES PDAVIS_UNUSED static void show_row(
+    const float *restrict level, const float *restrict slope,
+    const float *restrict variance, const float *restrict grows,
+    const float *restrict bends, const float *restrict around, float since,
+    float ripple, float black, float least, float most, ptrdiff_t n,
+    float *restrict log, float *restrict out, uint8_t *restrict valid)
+{
+    ptrdiff_t i;
+    for (i = 0; i < n; i++) {
+        log[i] = level[i] + since * slope[i];
+        out[i] = variance[i] + since * (grows[i] + since * bends[i]);
+    }
+    if (around)
+        for (i = 0; i < n; i++)
+            log[i] += around[i];
+    if (ripple != 0.0f)
+        for (i = 0; i < n; i++)
+            log[i] += ripple;
+    if (black > 0.0f)
+        for (i = 0; i < n; i++) {
+            float all = pd_exp(log[i]), light = all - black;
+            light = light > least ? light : least;
+            log[i] = pd_log(light);
+            all /= light;
+            out[i] *= all * all;
+        }
+    for (i = 0; i < n; i++)
+        valid[i] = out[i] <= most;
+}
+
+/* own + the mean over each macropixel + the mean of the four nearest alike. */
+PDAVIS_CLONES PDAVIS_UNUSED static void mean_row(
+    const float *restrict own, const float *restrict cell, const float *restrict other,
+    const float *restrict near, const float *restrict up, const float *restrict down,
+    ptrdiff_t n, float *restrict out)
+{
+    ptrdiff_t x;
+    for (x = 0; x < n; x++)
+        out[x] = own[x] + 0.25f * (up[x] + down[x]);
+    for (x = 2; x + 2 < n; x++)
+        out[x] += 0.25f * (near[x - 2] + near[x + 2]);
+    for (x = 0; x < n; x++)
+        if (x < 2 || x + 2 >= n)
+            out[x] += 0.25f * (near[x < 2 ? 0 : x - 2]
+                               + near[x + 2 < n ? x + 2 : n - 1]);
+    for (x = 0; x + 1 < n; x += 2) {
+        float mean = 0.25f * (cell[x] + cell[x + 1] + other[x] + other[x + 1]);
+        out[x] += mean;
+        out[x + 1] += mean;
+    }
+    if (n & 1)
+        out[n - 1] += cell[n - 1];
+}
+
+#endif

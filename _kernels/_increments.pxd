@@ -1,0 +1,220 @@
+"""Records of the filter of log intensity, and its model in _increments.h."""
+from libc.stdint cimport int8_t, int32_t, int64_t, uint8_t
+
+from _kernels._math cimport exp_f, log_f
+
+cdef extern from "_increments.h" nogil:
+    const int LAGS
+    const double PER_TURN "PER_TURN_2"
+    const int64_t NEVER "PD_NEVER"
+    const double GATE "PD_GATE"
+    const double LEAST_LIGHT "PD_LEAST_LIGHT"
+    const double CLAIM "PD_CLAIM"
+    const double SHOWN "PD_SHOWN"
+    const double PRIOR_ODDS "PD_PRIOR_ODDS"
+    const double MORE "PD_MORE"
+    const double LESS "PD_LESS"
+    const double HOT_MEMORY "PD_HOT_MEMORY"
+    const double UNKNOWN "PD_UNKNOWN"
+    const double SMOOTH_FROM "PD_SMOOTH_FROM"
+    const double KNOT "PD_KNOT"
+    ctypedef struct camera_t:
+        double rest, dead, hz, hz_per_light, black, alpha, beta, gamma, spread2
+        double[2] theta
+        double[3] theta_cov
+        double[2][5] by_class
+        double[6] lag
+        double[6][2] own, cell, near
+        double[2] own_now, cell_now, near_now
+    ctypedef struct around_t:
+        double since, gap, silent, before, next_weight, drift
+        int sign, next_sign, context, flickers
+    double weight_of(double before, int same, const camera_t* c)
+    double step_of(double before, int on, const camera_t* c)
+    int context_of(int run, double before, double before2)
+    void part_of(const around_t* a, const camera_t* c, double* part, double* rate)
+    double open_variance(const around_t* a, const camera_t* c)
+    double goes_on(double gap, const camera_t* c)
+    double drift_of(const around_t* a, const camera_t* c, double* rate)
+    void show_row(const float* level, const float* slope, const float* variance,
+                  const float* grows, const float* bends, const float* around,
+                  float since, float ripple, float black, float least, float most,
+                  Py_ssize_t n, float* log, float* out, uint8_t* valid)
+    void mean_row(const float* own, const float* cell, const float* other,
+                  const float* near, const float* up, const float* down, Py_ssize_t n,
+                  float* out)
+
+# An event in the store.  Sums include it.
+cdef struct stored_t:
+    int64_t t
+    double[2] light         # ln: changes by OFF and ON events of the pixel so far
+    double[2] count         # thresholds: the same, not weighed by class
+    float before            # s since the event before, or since the first of all
+    float before2           # the same of the event before
+    int32_t prev, next      # the pixel's events before and after it, -1: not stored
+    int32_t pixel
+    int8_t sign, context    # as in around_t
+    int8_t run              # events of its sign up to it, at most 3
+    int8_t run_before       # the same of the event before, 0: there was none
+
+# The events of a pixel.
+cdef struct pixel_t:
+    stored_t at             # the last one committed, and its index in the store
+    stored_t newest         # the last one fed, and its index
+    int32_t at_index, newest_index
+    int32_t next            # index of the first one after `at`, -1: none
+    int32_t flags           # LISTED, CHANGED
+
+# A pixel at the middle of a frame's exposure.
+cdef struct node_t:
+    double mean             # ln of the mean of exp of all changes so far, with the lead
+    double[2] light         # means of the changes by OFF and ON events
+    int64_t open_t          # the event of the silence that is open at its end, 0: none
+    int64_t around_t        # the same at the longest lag after its middle
+    float open_variance     # thresholds^2, in the middle
+    float around            # what other times and pixels said since the frame before
+    float log, variance     # of the sample: ln DN/ms; 0: not usable
+
+# A pixel's estimate at the last frame that it has passed.
+cdef struct anchor_t:
+    float log               # ln(I + black) in the mean over the exposure
+    float[2] gain           # relative deviation of the thresholds, OFF, ON
+    float[6] p              # covariance of the three, upper triangle by rows
+    float hot               # log odds that events of this pixel say nothing
+    float motion            # of a hot pixel: mean squared change between frames
+    float sampled           # whether there has been a sample
+
+# What a read needs of a pixel until its events or frames change.
+cdef struct shown_t:
+    int64_t until           # us: up to which the planes hold it
+    int64_t last, next      # times of the events around, next: 2^62 if there is none
+    float ahead, behind     # ln(I + black) at the last event, from frames before, after
+    float p_ahead, p_behind  # their variances, without what grows with time
+    float common            # their covariance: of the thresholds
+    float[2] theta          # OFF, ON
+    float corner            # Hz
+    float before, next_weight, drift, extra, opened
+    int8_t sign, next_sign, context, state
+
+
+cdef inline double lead_of(double slope, double light,
+                           const camera_t* c) noexcept nogil:
+    """Lead u of the light over the photoreceptor: u (f0 + k I e^u) = y' / 2 pi.  (5)"""
+    cdef double right = slope * PER_TURN, kl = c.hz_per_light * light, u, x, f
+    cdef int _
+    if c.hz + kl <= 0.0:
+        return 0.0
+    u = right / (c.hz + kl)
+    if u < 0.02 and u > -0.02:
+        return u * (1.0 - u * kl / (c.hz + kl))
+    u = 0.0
+    for _ in range(8):
+        x = kl * exp_f(<float>u)
+        f = c.hz + x * (1.0 + u)
+        if f < 0.05 * (c.hz + x):
+            f = 0.05 * (c.hz + x)
+        x = (u * (c.hz + x) - right) / f
+        u -= x
+        # Beyond, y' does not determine u.
+        u = 2.0 if u > 2.0 else -0.85 if u < -0.85 else u
+        if x < 1e-4 and x > -1e-4:
+            break
+    return u
+
+
+cdef enum:
+    MOST_SAMPLES = 9            # times per exposure
+    BEFORE = 1                  # flags of shown_t.state: a sample before, one after,
+    AFTER = 2                   # and a pixel whose events say nothing
+    HOT = 4
+    FLICKERS = 8
+    LEARN_EVENTS = 3            # events between two frames from which gains are learned
+    LISTED = 1                  # flags of pixel_t: in the list; `shown_t` is out of
+    CHANGED = 2                 # date
+    LEVEL = 0                   # planes, as show_row takes them
+    SLOPE = 1
+    VARIANCE = 2
+    GROWS = 3
+    BENDS = 4
+
+cdef struct look_t:
+    around_t around
+    double[2] light
+    double[2] count
+    int64_t last, next
+
+
+cdef inline const camera_t* camera_of(const double[::1] numbers) except NULL:
+    if numbers.shape[0] * sizeof(double) != sizeof(camera_t):
+        raise ValueError("numbers must be those of a PixelModel")
+    return <const camera_t*>&numbers[0]
+
+
+cdef inline double weight(const stored_t* e, const camera_t* c) noexcept nogil:
+    return weight_of(e.before, e.run > 1, c)
+
+
+cdef inline void before_it(const stored_t* e, const camera_t* c, double* light,
+                           double* count) noexcept nogil:
+    """Sums before an event."""
+    cdef int on = e.sign > 0
+    cdef double passed = e.sign * weight(e, c)
+    light[0], light[1] = e.light[0], e.light[1]
+    count[0], count[1] = e.count[0], e.count[1]
+    light[on] -= passed * step_of(e.before, on, c)
+    count[on] -= passed
+
+
+cdef inline void look(const pixel_t* p, const stored_t* store, int64_t t, int64_t known,
+                      const camera_t* c, look_t* out) noexcept nogil:
+    """Find the events around t, of those up to `known`, and the sums at the last one.
+    """
+    cdef const stored_t* at = &p.at if p.at.run > 0 else NULL
+    cdef const stored_t* after = &store[p.next] if p.next >= 0 else NULL
+    if at != NULL and at.t > t:
+        while at != NULL and at.t > t:
+            after = at
+            at = &store[at.prev] if at.prev >= 0 else NULL
+    else:
+        while after != NULL and after.t <= t:
+            at = after
+            after = &store[at.next] if at.next >= 0 else NULL
+    out.around.sign = out.around.flickers = 0
+    out.around.gap = out.around.drift = 0.0
+    out.last = -NEVER
+    if at != NULL:
+        out.last = at.t
+        out.light[0], out.light[1] = at.light[0], at.light[1]
+        out.count[0], out.count[1] = at.count[0], at.count[1]
+        out.around.sign = at.sign
+        out.around.context = at.context
+        out.around.before = at.before
+    elif after != NULL:
+        before_it(after, c, out.light, out.count)
+        if after.run_before > 0:
+            # It is not stored any more; the next one tells of it.
+            out.last = after.t - <int64_t>(1e6 * after.before + 0.5)
+            out.around.sign = after.sign if after.run > 1 else -after.sign
+            out.around.context = context_of(after.run_before, 1.0, 0.0)
+            out.around.before = after.before2
+            if out.last > t:
+                out.around.sign = 0
+    else:
+        out.light[0] = out.light[1] = out.count[0] = out.count[1] = 0.0
+    out.around.since = 1e-6 * <double>(t - out.last)
+    out.around.silent = 1e-6 * <double>(known - out.last)
+    out.next = NEVER
+    if after != NULL and after.t <= known:
+        out.next = after.t
+        out.around.gap = 1e-6 * <double>max(after.t - out.last, 1)
+        out.around.next_sign = after.sign
+        out.around.next_weight = weight(after, c)
+
+
+cdef inline double light_of(double log, const camera_t* c) noexcept nogil:
+    """Return ln I of ln(I + black)."""
+    cdef double light
+    if c.black <= 0.0:
+        return log
+    light = exp_f(<float>log) - c.black
+    return log_f(<float>max(light, LEAST_LIGHT * c.black))

@@ -1,0 +1,363 @@
+"""Images of the filter of log intensity (_increments.pyx)."""
+from libc.math cimport fabs
+from libc.stdint cimport int32_t, int64_t, uint8_t
+
+from _kernels._increments cimport (
+    AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEAST_LIGHT, LEVEL,
+    LISTED, MOST_SAMPLES, NEVER, PER_TURN, PRIOR_ODDS, SLOPE, SMOOTH_FROM, UNKNOWN,
+    VARIANCE, anchor_t, around_t, camera_of, camera_t, drift_of, goes_on, lead_of,
+    node_t, open_variance, part_of, pixel_t, show_row, shown_t, stored_t, weight)
+from _kernels._increments_frames cimport around_of, corner_of, lags_of, lags_t, node_of
+from _kernels._lamp cimport lamp_flickers, lamp_of, lamp_t, ripple
+from _kernels._math cimport exp_f
+from _kernels._model cimport wave_t
+
+
+cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t* node,
+                          const anchor_t* a, const node_t* later, double b, double v,
+                          const camera_t* c, const lamp_t* lamp,
+                          shown_t* s) noexcept nogil:
+    cdef const stored_t* e = &p.at
+    cdef double[2] since, until
+    cdef double s00, s01, s11, passed = 0.0, after = 0.0, each, y, rate
+    cdef bint hot = a.hot > PRIOR_ODDS
+    s.state = HOT if hot else 0
+    s.last = e.t if e.run > 0 else -NEVER
+    s.sign = e.sign if e.run > 0 else 0
+    s.context = e.context
+    s.before = e.before
+    s.next = NEVER
+    if p.next >= 0:
+        s.next = store[p.next].t
+        s.next_sign = store[p.next].sign
+        s.next_weight = <float>weight(&store[p.next], c)
+    s.corner = <float>corner_of(a.log if a.sampled > 0.0 else b, c)
+    y = e.light[0] + e.light[1]
+    s.drift = 0.0
+    if lamp.blocks > 0:
+        each = ripple(lamp, c.hz + s.corner, <double>s.last, &rate)
+        y -= each
+        if lamp_flickers(lamp, <double>s.last, <double>s.last):
+            s.state |= FLICKERS
+        if p.next >= 0:
+            s.drift = <float>(each - ripple(
+                lamp, c.hz + s.corner, <double>s.next, &rate))
+    s.theta[0] = 0.0 if hot else <float>((1.0 + a.gain[0]) * c.theta[0])
+    s.theta[1] = 0.0 if hot else <float>((1.0 + a.gain[1]) * c.theta[1])
+    s.extra = s.common = s.ahead = s.behind = s.p_ahead = s.p_behind = 0.0
+    s.opened = node.open_variance if node.open_t == s.last else 0.0
+    # Relative error of the thresholds, of this pixel and of all.
+    s00 = a.p[3] + c.theta_cov[0] / (c.theta[0] * c.theta[0])
+    s01 = a.p[4] + c.theta_cov[1] / (c.theta[0] * c.theta[1])
+    s11 = a.p[5] + c.theta_cov[2] / (c.theta[1] * c.theta[1])
+    since[0], since[1] = e.light[0] - node.light[0], e.light[1] - node.light[1]
+    until[0], until[1] = later.light[0] - e.light[0], later.light[1] - e.light[1]
+    if not hot and a.sampled > 0.0:
+        passed = fabs(since[0]) / c.theta[0] + fabs(since[1]) / c.theta[1]
+    if not hot and v > 0.0:
+        after = fabs(until[0]) / c.theta[0] + fabs(until[1]) / c.theta[1]
+    if a.sampled > 0.0:
+        s.state |= BEFORE
+        s.ahead = a.log
+        s.p_ahead = a.p[0]
+        if hot:
+            s.p_ahead += a.motion
+        else:
+            s.ahead += <float>(
+                y - node.mean + since[0] * a.gain[0] + since[1] * a.gain[1])
+            s.p_ahead += <float>(
+                2.0 * (since[0] * a.p[1] + since[1] * a.p[2]
+                       + since[0] * since[1] * s01)
+                + since[0] * since[0] * s00 + since[1] * since[1] * s11
+                + c.gamma * passed)
+        s.extra = <float>(0.25 * c.beta * min(passed, 1.0))
+    if v > 0.0:
+        s.state |= AFTER
+        s.behind = <float>b - later.around
+        s.p_behind = <float>v
+        if hot:
+            s.p_behind += a.motion
+        else:
+            s.p_behind += <float>(0.25 * c.beta * min(passed + after, 1.0))
+            s.behind -= <float>(
+                later.mean - y + until[0] * a.gain[0] + until[1] * a.gain[1])
+            s.p_behind += <float>(until[0] * until[0] * s00
+                                  + 2.0 * until[0] * until[1] * s01
+                                  + until[1] * until[1] * s11 + c.gamma * after)
+            s.common = -<float>(until[0] * (a.p[1] + since[0] * s00 + since[1] * s01)
+                                + until[1] * (a.p[2] + since[0] * s01 + since[1] * s11))
+    each = passed + after
+    each = 0.5 * c.beta * min(each, 1.0) / each if each > 0.0 else 0.0
+    s.p_ahead += <float>(each * passed)
+    s.p_behind += <float>(each * after)
+
+
+cdef struct frames_t:
+    # The frames before and after a read, and the epoch of the planes.
+    const node_t* node
+    const node_t* later
+    const anchor_t* anchors
+    const float* back           # NULL: no frame after
+    const int64_t* exposure     # of the frame before: begin, end by column
+    const int64_t* middle       # of both by column
+    double* around              # of the frame before, as increments_around writes it
+    const lamp_t* lamp
+    int samples
+    Py_ssize_t h, w
+    int64_t epoch, ahead
+
+
+cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_,
+                          Py_ssize_t x,
+                          const frames_t* f, const camera_t* c, double* log,
+                          double* variance) noexcept nogil:
+    """ln(I + black) at t without what other times and pixels say, and its variance."""
+    cdef around_t a
+    cdef double[2] part, rate
+    cdef double j = 0.0, v = s.extra, v1, v2, u, slope = 0.0, light, theta2
+    if s.sign and not s.state & HOT:
+        a.sign = s.sign
+        a.next_sign = s.next_sign
+        a.next_weight = s.next_weight
+        a.before = s.before
+        a.context = s.context
+        a.since = 1e-6 * <double>(t - s.last)
+        a.silent = 1e-6 * <double>(known - s.last)
+        a.gap = 0.0
+        if s.next <= known and not open_:
+            a.gap = 1e-6 * <double>max(s.next - s.last, 1)
+        a.drift = s.drift
+        a.flickers = s.state & FLICKERS
+        j = drift_of(&a, c, &slope)
+        part_of(&a, c, part, rate)
+        j += s.theta[0] * part[0] + s.theta[1] * part[1]
+        slope += s.theta[0] * rate[0] + s.theta[1] * rate[1]
+        if a.gap == 0.0:
+            theta2 = 0.25 * (c.theta[0] + c.theta[1]) * (c.theta[0] + c.theta[1])
+            v += theta2 * max(open_variance(&a, c) - s.opened, 0.0)
+    v1 = s.p_ahead + c.alpha * fabs(1e-6 * <double>(t - f.middle[x]))
+    v2 = s.p_behind + c.alpha * fabs(1e-6 * <double>(f.middle[f.w + x] - t))
+    if s.state & (BEFORE | AFTER) == BEFORE | AFTER:
+        # The thresholds' error is in both, with opposite signs.
+        theta2 = v1 + v2 - 2.0 * s.common
+        u = (v1 - s.common) / theta2
+        u = 0.0 if u < 0.0 else 1.0 if u > 1.0 else u
+        j += s.ahead + u * (s.behind - s.ahead)
+        v += v1 + u * (u * theta2 - 2.0 * (v1 - s.common))
+    elif s.state & BEFORE:
+        j += s.ahead
+        v += v1
+    elif s.state & AFTER:
+        j += s.behind
+        v += v2
+    else:
+        log[0] = 0.0
+        variance[0] = UNKNOWN
+        return
+    if slope != 0.0 and (c.hz > 0.0 or c.hz_per_light > 0.0):
+        u = slope * PER_TURN / (c.hz + s.corner)
+        if u > 0.02 or u < -0.02:
+            light = exp_f(<float>j) - c.black
+            u = lead_of(slope, light if light > 1e-3 else 1e-3, c)
+        else:
+            u *= 1.0 - u * s.corner / (c.hz + s.corner)
+        j += u
+    log[0] = j
+    variance[0] = v
+
+
+def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store not None,
+                    frames not None, times not None, const double[::1] camera not None,
+                    const int32_t[::1] moving not None, uint8_t[::1] moves not None,
+                    shown_t[:, ::1] shown not None, float[:, :, ::1] planes not None,
+                    float[:, :, ::1] around, bands not None):
+    """Bring the planes of the listed pixels up to date for a read.
+
+    frames is (node, exposure, samples, anchors, later or None, back, middles, around,
+    waves), times (t, known, epoch).  Of the list, the entries first <= i < last are
+    processed; moves tells
+    which may change before their next event or frame.  around receives what
+    `increments_around` writes, less that of the frame before; None: nothing is weighed.
+
+    Between events, and farther than all lags from them, a pixel's value is interpolated
+    between times since the event that grow by `KNOT`: an image does not depend on which
+    others are asked for.
+    """
+    cdef node_t[:, ::1] node
+    cdef const node_t[:, ::1] later
+    cdef const int64_t[:, ::1] exposure, middles
+    cdef const anchor_t[:, ::1] anchors
+    cdef const float[:, :, ::1] back
+    cdef double[:, :, ::1] then
+    cdef const wave_t[::1] waves
+    cdef const camera_t* c = camera_of(camera)
+    cdef frames_t f
+    cdef lamp_t lamp
+    cdef lags_t lags
+    cdef Py_ssize_t first, last, i, at, size = pixels.shape[0] * pixels.shape[1]
+    cdef int64_t t, known
+    cdef float* plane = &planes[0, 0, 0]
+    first, last = bands
+    t, known, f.epoch = times
+    node, exposure, f.samples, anchors, later, back, middles, then, waves = frames
+    lamp = lamp_of(waves)
+    f.lamp = &lamp
+    f.h, f.w = pixels.shape[0], pixels.shape[1]
+    if (node.shape[0] != f.h or node.shape[1] != f.w or anchors.shape[0] != f.h
+            or anchors.shape[1] != f.w or shown.shape[0] != f.h or shown.shape[1] != f.w
+            or planes.shape[0] != 5 or planes.shape[1] != f.h or planes.shape[2] != f.w
+            or exposure.shape[0] != 2 or exposure.shape[1] != f.w
+            or middles.shape[0] != 2 or middles.shape[1] != f.w
+            or f.samples > MOST_SAMPLES or moves.shape[0] < moving.shape[0]):
+        raise ValueError("increments_move: all images must have one shape")
+    if later is not None and (
+            later.shape[0] != f.h or later.shape[1] != f.w or back.shape[0] != 2
+            or back.shape[1] != f.h or back.shape[2] != f.w):
+        raise ValueError("increments_move: all images must have one shape")
+    if around is not None and (
+            then is None or then.shape[0] != 3 or around.shape[0] != 3
+            or around.shape[1] != f.h or then.shape[1] != f.h
+            or around.shape[2] != f.w or then.shape[2] != f.w):
+        raise ValueError("increments_move: all images must have one shape")
+    if first < 0 or last > moving.shape[0]:
+        raise ValueError("increments_move: the list is shorter")
+    f.node = &node[0, 0]
+    f.later = &later[0, 0] if later is not None else NULL
+    f.back = &back[0, 0, 0] if later is not None else NULL
+    f.around = &then[0, 0, 0] if around is not None else NULL
+    f.anchors, f.exposure, f.middle = &anchors[0, 0], &exposure[0, 0], &middles[0, 0]
+    f.ahead = known - t
+    with nogil:
+        lags = lags_of(c, f.ahead)
+        for i in range(first, last):
+            at = moving[i]
+            if 0 <= at < size:
+                moves[i] = move_one(
+                    &pixels[0, 0] + at, &store[0], &node[0, 0] + at, at, t, known, &f,
+                    &lags, c, &shown[0, 0] + at, plane,
+                    &around[0, 0, 0] if around is not None else NULL)
+
+
+cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
+                          Py_ssize_t at, int64_t t, int64_t known, const frames_t* f,
+                          const lags_t* lags, const camera_t* c, shown_t* s,
+                          float* plane, float* around) noexcept nogil:
+    """Write a pixel's planes; return whether they have to be written again."""
+    cdef Py_ssize_t size = f.h * f.w, x = at % f.w
+    cdef int64_t t0 = t, t1 = t
+    cdef double[3] out
+    cdef double j0, v0, j1, v1, since, knot, seconds, rate
+    cdef bint rests = False, smooth = False
+    cdef int k
+    if p.flags & CHANGED:
+        p.flags = LISTED
+        if node.open_t != 0 and p.at.run > 0 and p.at.t > node.open_t:
+            # Its end is known now.
+            node_of(p, store, f.exposure[x], f.exposure[f.w + x], f.samples, p.at.t, c,
+                    f.lamp, node)
+        if (around != NULL and f.ahead == 0 and node.around_t != 0 and p.at.run > 0
+                and p.at.t > node.around_t):
+            node.around_t = around_of(p, store, f.middle[x], p.at.t, lags, c, out)
+            for k in range(3):
+                f.around[k * size + at] = out[k]
+        if f.back != NULL:
+            show_one(p, store, node, f.anchors + at, f.later + at, f.back[at],
+                     f.back[size + at], c, f.lamp, s)
+        else:
+            show_one(p, store, node, f.anchors + at, node, 0.0, -1.0, c, f.lamp, s)
+    elif t < s.until:
+        return True
+    s.until = 0
+    since = 1e-6 * <double>(t - s.last)
+    if s.next > known:
+        rests = s.sign == 0 or (t - s.last > lags.oldest and goes_on(
+            max(since + 1e-6 * <double>f.ahead, <double>s.before), c) <= 0.0)
+        smooth = not rests and since > SMOOTH_FROM
+    if smooth:
+        knot = SMOOTH_FROM
+        while knot * KNOT <= since:
+            knot *= KNOT
+        t0 = s.last + <int64_t>(1e6 * knot)
+        t1 = s.last + <int64_t>(1e6 * knot * KNOT)
+        s.until = t1
+    elif rests:
+        # From the frame before to the one after, or as from either.
+        t0 = f.middle[x]
+        t1 = f.middle[f.w + x]
+        if not s.state & AFTER:
+            t1 = t0 + 1000000
+        elif not s.state & BEFORE:
+            t0 = t1 - 1000000
+        t1 = max(t1, t0 + 1000)
+        s.until = NEVER
+    if s.next != NEVER:
+        s.until = min(s.until, s.next - f.ahead)    # then it is known
+    estimate(s, t0, t0 + f.ahead if smooth else known, smooth, x, f, c, &j0, &v0)
+    plane[LEVEL * size + at] = <float>j0
+    plane[VARIANCE * size + at] = <float>v0
+    plane[SLOPE * size + at] = plane[GROWS * size + at] = plane[BENDS * size + at] = 0.0
+    if t1 > t0:
+        estimate(s, t1, t1 + f.ahead if smooth else known, smooth, x, f, c, &j1, &v1)
+        seconds = 1e-6 * <double>(t1 - t0)
+        rate = (j1 - j0) / seconds
+        since = 1e-6 * <double>(f.epoch - t0)
+        plane[SLOPE * size + at] = <float>rate
+        plane[LEVEL * size + at] = <float>(j0 + rate * since)
+        rate = (v1 - v0) / seconds
+        j1 = 0.0
+        if rests and s.state & (BEFORE | AFTER) == BEFORE | AFTER:
+            # v1 v2 / (v1 + v2) is a parabola, as v1 grows as fast as v2 falls.
+            j1 = -c.alpha * c.alpha / (
+                s.p_ahead + s.p_behind - 2.0 * s.common + c.alpha * 1e-6 * <double>(
+                    f.middle[f.w + x] - f.middle[x]))
+            rate -= j1 * seconds
+        plane[BENDS * size + at] = <float>j1
+        plane[GROWS * size + at] = <float>(rate + 2.0 * j1 * since)
+        plane[VARIANCE * size + at] = <float>(v0 + since * (rate + since * j1))
+    if around != NULL:
+        if s.state & HOT:
+            for k in range(3):
+                around[k * size + at] = 0.0
+        else:
+            around_of(p, store, t0 if smooth else t, t0 + f.ahead if smooth else known,
+                      lags, c, out)
+            for k in range(3):
+                around[k * size + at] = <float>(out[k] - f.around[k * size + at])
+    if rests and p.next < 0:
+        p.flags &= ~LISTED
+        return False
+    return True
+
+
+def increments_image(const float[:, :, ::1] planes not None, const float[:, ::1] around,
+                     times not None, const wave_t[::1] waves not None, double black,
+                     double most, out not None, bands not None):
+    """Write ln light, its variance and validity, with the lamp's ripple.
+
+    times is (t, epoch of the planes).
+    """
+    cdef Py_ssize_t y, first, last
+    cdef float[:, ::1] log, variance
+    cdef uint8_t[:, ::1] valid
+    cdef lamp_t lamp = lamp_of(waves)
+    cdef double seconds, lit, rate
+    t, epoch = times
+    seconds = 1e-6 * (t - epoch)
+    lit = ripple(&lamp, 0.0, t, &rate)
+    log, variance, valid = out
+    first, last = bands
+    if (planes.shape[0] != 5 or planes.shape[1] != log.shape[0]
+            or planes.shape[2] != log.shape[1] or variance.shape[0] != log.shape[0]
+            or variance.shape[1] != log.shape[1] or valid.shape[0] != log.shape[0]
+            or valid.shape[1] != log.shape[1] or around is not None and (
+                around.shape[0] != log.shape[0] or around.shape[1] != log.shape[1])):
+        raise ValueError("increments_image: all images must have one shape")
+    with nogil:
+        for y in range(first, last):
+            show_row(&planes[LEVEL, y, 0], &planes[SLOPE, y, 0],
+                     &planes[VARIANCE, y, 0],
+                     &planes[GROWS, y, 0], &planes[BENDS, y, 0],
+                     &around[y, 0] if around is not None else NULL, <float>seconds,
+                     <float>lit, <float>black, <float>(LEAST_LIGHT * black),
+                     <float>most, log.shape[1], &log[y, 0], &variance[y, 0],
+                     &valid[y, 0])

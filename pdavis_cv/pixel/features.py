@@ -1,0 +1,132 @@
+"""Further weights of events: by the gap before, at other times, of other pixels."""
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.pixel.model import GAP_CLASSES, LAGS_S, PixelModel
+from pdavis_cv.pixel.rows import (
+    SHORT_US,
+    Floats,
+    Pairs,
+    around_rows,
+    counts_at,
+    fitted_noise,
+    linearized,
+    robust,
+)
+from pdavis_cv.pixel.sample import Sampled
+
+__all__ = ["further_weights"]
+
+SHRINKS = (0.0, 0.02, 0.05, 0.1, 0.2)
+"""Prior standard deviations of further weights, in thresholds: one is chosen."""
+
+FOLDS = 4
+"""Blocks of pairs that are left out in turn."""
+
+LOSS = 0.5
+"""Error of ln DN from which the loss of cross-validation is robust."""
+
+UNSEEN = 0.03
+"""Weight of the penalty (10) on changes within exposures, which frames do not show."""
+
+
+def further_weights(
+    data: Sampled, past: NDArray[np.void], pairs: Pairs, model: PixelModel,
+    gains: Floats, shift_us: float, lookahead_us: int,
+) -> PixelModel:
+    """Return the model with further weights, if they predict pairs left out better.
+
+    They are shrunk to 0 by as much as cross-validation says; the simplest is taken
+    that is not worse than the best by a standard error over pairs.
+    """
+    number = int(pairs.pair.max(initial=-1)) + 1
+    if number < 2 * FOLDS:
+        return model
+    rows = linearized(data, past, pairs, model, gains, shift_us, lookahead_us)
+    around = around_rows(data, past, pairs, model, shift_us, lookahead_us)
+    x = np.concatenate([rows.feature, around], 1)
+    used = np.any(x != 0, 0)
+    first = np.concatenate([model.theta, np.zeros(x.shape[1] - 2)])
+    penalty = UNSEEN * _unseen(
+        data, past, pairs, model, gains, shift_us, lookahead_us,
+        1 / rows.variance(model))
+    theta = float(model.theta.mean())
+    fold = pairs.pair * FOLDS // number
+    change = rows.change - rows.feature[:, 2:] @ model.by_class.ravel()
+    residual = change - x @ first
+    k, _ = robust(residual, rows.variance(model))
+    blocks = []
+    for i in range(FOLDS):
+        part = x[fold == i] * k[fold == i][:, None]
+        blocks.append((part.T @ x[fold == i], part.T @ residual[fold == i]))
+    square, right = (sum(each) for each in zip(*blocks, strict=True))
+
+    def solved(shrink: float, without: int | None) -> Floats:
+        a, b = square, right
+        if without is not None:
+            a, b = a - blocks[without][0], b - blocks[without][1]
+        sigma = np.where(used, max(shrink, 1e-6) * theta, 1e-9)
+        return first + np.linalg.solve(a + np.diag(1 / sigma**2) + penalty, b)
+
+    losses, outsides = [], []
+    for shrink in SHRINKS:
+        outside = residual.copy()
+        if shrink:
+            for i in range(FOLDS):
+                here = fold == i
+                outside[here] = change[here] - x[here] @ solved(shrink, i)
+        error = (outside * rows.jacobian) ** 2 / (
+            rows.frame_noise * rows.jacobian**2 + LOSS**2)
+        losses.append(np.bincount(
+            pairs.pair, 2 * (np.sqrt(1 + error) - 1), number).astype(np.float64))
+        outsides.append(outside)
+    best = int(np.argmin([loss.sum() for loss in losses]))
+    chosen = next(i for i in range(best + 1) if i == best or not _better(
+        losses[best], losses[i]))
+    if not SHRINKS[chosen]:
+        return model
+    return _with(model, solved(SHRINKS[chosen], None)).replace(
+        noise=fitted_noise(rows, model, outsides[chosen]))
+
+
+def _better(loss: Floats, other: Floats) -> bool:
+    """Whether losses per pair are less than others by more than a standard error."""
+    gain = other - loss
+    return bool(gain.sum() > np.sqrt(len(gain)) * gain.std())
+
+
+def _unseen(
+    data: Sampled, past: NDArray[np.void], pairs: Pairs, model: PixelModel,
+    gains: Floats, shift_us: float, lookahead_us: int, weight: Floats,
+) -> Floats:
+    """Return the penalty (10) on what weights change within exposures."""
+    if 1e3 * float(pairs.ms.max()) <= SHORT_US:
+        return np.zeros((2 + 2 * GAP_CLASSES + 6 * len(LAGS_S) + 4,) * 2)
+
+    def there(at: float) -> Floats:
+        return np.concatenate([
+            counts_at(data, past, pairs, model, gains, shift_us, lookahead_us, at),
+            around_rows(data, past, pairs, model, shift_us, lookahead_us, at, False),
+        ], 1)
+
+    total: Floats = 0.0  # type: ignore[assignment]
+    middle = there(0.5)
+    for at in (0.1, 0.9):
+        within = there(at) - middle
+        total = total + (within * weight[:, None]).T @ within / 2
+    return total
+
+
+def _with(model: PixelModel, weights: Floats) -> PixelModel:
+    theta, classes, rest = np.split(weights, [2, 2 + 2 * GAP_CLASSES])
+    lags = rest[:6 * len(LAGS_S)].reshape(len(LAGS_S), 3, 2)
+    last = rest[6 * len(LAGS_S):]
+    return model.replace(
+        theta=np.maximum(theta, 0.1 * model.theta),
+        by_class=model.by_class + classes.reshape(2, GAP_CLASSES),
+        own=lags[:, 0], cell=lags[:, 1], near=lags[:, 2], cell_now=last[:2],
+        near_now=last[2:])
+
+

@@ -1,0 +1,554 @@
+"""Learning of a camera from its own frames and events: one robust MAP fit."""
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv.pixel import features
+from pdavis_cv.pixel.model import PixelModel
+from pdavis_cv.pixel.rows import (
+    SHORT_US,
+    Floats,
+    Pairs,
+    Rows,
+    fitted_noise,
+    linearized,
+    pairs_of,
+    robust,
+    thinned,
+)
+from pdavis_cv.pixel.sample import PixelSample, Sampled
+from pdavis_cv.pixel.silences import learned_silences, table_of
+
+__all__ = ["LearnedPixels", "Priors", "learn", "prior_model"]
+
+STARTS_US = range(-10_000, 14_000, 2000)
+"""Clock offsets from which the fit starts, us: the likeliest two are followed."""
+
+ROUNDS = 5
+"""Gauss-Newton steps; the fit ends earlier once nothing moves by a tenth of a sigma."""
+
+COMMON_ERROR, COMMON_PAIRS = 30.0, 3.0
+"""Prior of the design effect, and its weight in pairs: rows of a pair share errors."""
+
+COUNT_NOISE = 0.16
+"""Largest variance of the error of a difference of counts, thresholds^2."""
+
+BETTER_REST = 0.02
+"""Fall of -2 ln L per row for which another rest time is taken."""
+
+LAG_OF_GAP = 0.035
+"""Standard deviation of the lag of interpolated counts, in mean gaps between events."""
+
+EVIDENCE, EVIDENCE_OF_BLACK = 4.0, 25.0
+"""Fall of -2 ln posterior for which a number is taken that was not told: two standard
+errors; and five for a black level, which must also lower the loss of pairs by four: it
+makes up for much that is not modelled (2 to 3 DN/ms were found where none was)."""
+
+MODEL_ERROR = 0.02
+"""Relative error of thresholds that a perfect fit leaves, of simulated cameras."""
+
+LEAST_KNOWN = 0.9
+"""Share of the prior error of thresholds that is left where frames tell nothing."""
+
+LOSS = 0.5
+"""Error of ln DN from which losses are robust."""
+
+RESTS_S = (1.0, 0.25)
+
+EM_STEPS = 10
+"""Steps of the gains' spread for each of the thresholds, in the end: EM is slow."""
+
+SPREAD = 0.15
+"""Spread of the pixels' thresholds from which the fit starts, relative: sensors that
+were measured pixel by pixel have .1 (OFF) to .19 (ON)."""
+
+EVER_US = 1 << 40
+"""Look-ahead of the fit: a change is known best once the next event is."""
+
+MOST_SEARCHED, MOST_TRIED, MOST_FURTHER = (6000, 3000), 2000, 12_000
+"""Rows in which numbers beside the thresholds are looked for, of short exposures and of
+long ones; those in which each clock offset is tried; and of further weights."""
+
+BLACK = 40.0, 40.0
+"""Black level from which the fit starts, and its prior standard deviation, DN."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Priors:
+    """What is known of a camera beforehand.
+
+    Parameters
+    ----------
+    theta : (float, float)
+        Thresholds, OFF and ON, ln.
+    theta_sigma : float
+        Their relative error.
+    clock_us : (float, float) or None
+        Offset of the frames' clock and its standard deviation, us; None: it is known,
+        and the frames are moved already.
+    bandwidth : (float, float)
+        Corner frequency, Hz, and its increase by light, Hz per DN/ms.
+    bandwidth_sigma : (float, float)
+        Standard deviations of their logarithms; zeros: they are known.
+    black : (float, float) or None
+        Black level, DN/ms, and its standard deviation; None: learned, if it is there.
+    """
+
+    theta: tuple[float, float]
+    theta_sigma: float = 0.5
+    clock_us: tuple[float, float] | None = (0.0, 5000.0)
+    bandwidth: tuple[float, float] = (300.0, 2.0)
+    bandwidth_sigma: tuple[float, float] = (0.5, 1.0)
+    black: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LearnedPixels:
+    """A camera as learned.
+
+    Parameters
+    ----------
+    model : PixelModel
+    clock_offset_us : float
+        To add to the frames' stamps.
+    sigmas : mapping of str to float
+        Standard deviations: ``clock_us``, ``f0`` and ``slope`` (of the logarithms),
+        ``black`` (DN/ms), ``off`` and ``on`` (relative).
+    gains : ndarray of float64, shape (2, K)
+        Deviations of the sampled pixels' thresholds.
+    """
+
+    model: PixelModel
+    clock_offset_us: float = 0.0
+    sigmas: Mapping[str, float] = field(default_factory=dict)
+    gains: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A state of the fit: the numbers, and how likely they are."""
+
+    model: PixelModel
+    shift_us: float
+    lag_us: float
+    gains: Floats
+    sigmas: Mapping[str, float]
+    effect: float | None = None     # design effect, of the simplest model
+    cost: float = math.inf          # -2 ln posterior
+    per_row: float = math.inf       # -2 ln likelihood of a row
+
+
+@dataclass(frozen=True)
+class _Number:
+    """A number that is fitted beside the thresholds."""
+
+    mean: float
+    sigma: float
+    step: float
+    largest: float
+    get: Callable[[_Fit], float]
+    put: Callable[[_Fit, float], _Fit]
+
+
+def _changed(fit: _Fit, **changes: object) -> _Fit:
+    return replace(fit, **changes)  # type: ignore[arg-type]
+
+
+def _with(fit: _Fit, **changes: object) -> _Fit:
+    return _changed(fit, model=fit.model.replace(**changes))
+
+
+def prior_model(priors: Priors, lookahead_us: int) -> PixelModel:
+    """Return the camera that the priors describe."""
+    theta, table = np.array(priors.theta, np.float64), table_of(lookahead_us)
+    return PixelModel(
+        theta=theta, theta_cov=np.diag((priors.theta_sigma * theta) ** 2),
+        spread=SPREAD, bandwidth=priors.bandwidth, rest_s=RESTS_S[0], end=table[0],
+        bow=table[1],
+        black=0.0 if priors.black is None else priors.black[0])
+
+
+def learn(sample: PixelSample, priors: Priors, lookahead_us: int) -> LearnedPixels:
+    """Learn a camera from a window of its stream.
+
+    Parameters
+    ----------
+    sample : PixelSample
+    priors : Priors
+    lookahead_us : int
+        How much is known beyond the time of an image.
+
+    Returns
+    -------
+    LearnedPixels
+        As the priors say what the data do not tell.
+    """
+    data = sample.sampled()
+    clock = 0.0 if priors.clock_us is None else priors.clock_us[0]
+    prior = model = prior_model(priors, lookahead_us)
+    gains = np.zeros((2, len(data.start) - 1))
+    fit = _Fit(model, 0.0, 0.0, gains, {})
+    pairs = pairs_of(data, clock)
+    if pairs is None or len(data.events) < 100:
+        return LearnedPixels(model=model, gains=gains)
+    fit = _with(fit, dead_s=_dead_time(data))
+    fit = _fitted(data, pairs, priors, fit)
+    model, past = fit.model, _past(data, fit.model)
+    model = learned_silences(data, past, model, lookahead_us)
+    if max(fit.sigmas["off"], fit.sigmas["on"]) > LEAST_KNOWN * priors.theta_sigma:
+        # Frames do not tell events from noise: what was told stays.
+        model = model.replace(black=prior.black, bandwidth=prior.bandwidth)
+        return LearnedPixels(model=model, gains=gains, sigmas=fit.sigmas)
+    short = thinned(pairs.part(pairs.short), MOST_FURTHER)
+    model = features.further_weights(data, past, short, model, fit.gains, fit.shift_us,
+                            lookahead_us)
+    return LearnedPixels(model=model, clock_offset_us=fit.shift_us, gains=fit.gains,
+                         sigmas=fit.sigmas)
+
+
+def _past(data: Sampled, model: PixelModel) -> NDArray[np.void]:
+    past = data.events.copy()
+    first = np.full(len(data.start) - 1, data.t[0] if len(data.t) else 0, np.int64)
+    _kernels.learning_past(past, data.start, first, model.numbers)
+    return past
+
+
+def _dead_time(data: Sampled) -> float:
+    """Return the dead time that the shortest gaps show, s, or 0.
+
+    Gaps to an event of the same and of the other sign must end at the same edge (light
+    that turns makes no short gap), and what is lost must matter.
+    """
+    gap = 1e-6 * np.diff(data.events["t"])
+    inside = np.ones(len(gap), np.bool_)
+    first = data.start[1:-1]
+    inside[first[(first > 0) & (first < len(data.events))] - 1] = False
+    other = inside & (np.diff(data.events["sign"]) != 0)
+    edges = []
+    for chosen in (inside, other):
+        few = np.sort(gap[chosen])[:8]
+        if len(few) < 8:
+            return 0.0
+        step = (few[-1] - few[0]) / 7
+        edges.append((few[0] - step, math.hypot(step, 1e-6)))
+    (edge, _), (of_other, error) = edges
+    seconds = 1e-6 * float(data.t[-1] - data.t[0])
+    rate = len(data.t) / seconds / max(int((np.diff(data.start) > 0).sum()), 1)
+    if edge > 5e-5 and edge * rate > 0.02 and (
+            of_other - edge < 0.1 * edge + 3 * error):
+        return float(edge)
+    return 0.0
+
+
+def _fitted(data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit) -> _Fit:
+    """Return the likeliest state of the fit, of several starts and models.
+
+    Each number moves from what was told only if the posterior is clearly better.
+    """
+    every, long = pairs, 1e3 * float(pairs.ms.max()) > SHORT_US
+    pairs = thinned(pairs, MOST_SEARCHED[long])
+    few = thinned(pairs, MOST_TRIED)
+    numbers: dict[str, _Number] = {}
+    held: dict[str, _Number] = {}
+
+    def tried(start: _Fit, names: Sequence[str], rounds: int = ROUNDS,
+              among: Pairs | None = None) -> _Fit:
+        free = {name: one for name, one in numbers.items() if name in names}
+        prior = {name: one for name, one in numbers.items() if name != "black"}
+        return _descended(data, pairs if among is None else among, priors, start, free,
+                          rounds, {**prior, **held})
+
+    first = tried(fit, (), 3)
+    numbers = _numbers(priors, _mean_gap(data, pairs, first), pairs)
+    starts = [tried(_changed(fit, shift_us=float(start)), (), 2, few)
+              for start in STARTS_US] if "shift" in numbers else []
+    starts.sort(key=lambda one: one.per_row)
+    starts = [tried(one, (), 2) for one in _apart(starts)]
+    likeliest = min([first, *starts], key=lambda one: one.per_row)
+    effect = _effect(data, pairs, likeliest)
+    first, *starts = (tried(_changed(one, effect=effect), (), 0)
+                      for one in (first, *starts))
+    best = first
+    clock = [name for name in ("shift", "lag") if name in numbers]
+    if "shift" in numbers:
+        other = min((tried(one, clock) for one in starts), key=lambda one: one.cost)
+        best = other if other.cost < best.cost - EVIDENCE else best
+    used = clock if best.shift_us else []
+    lag = used or [name for name in ("lag",) if name in numbers]
+    for names in ([*lag, "f0", "slope"], [*clock, "f0", "slope"]):
+        other = tried(best, names)
+        if other.cost < best.cost - EVIDENCE:
+            best = other
+    used = clock if best.shift_us else lag
+    if "black" in numbers:
+        held = {"black": numbers["black"]}
+        ms = float(np.median(pairs.ms))
+        other = tried(_with(best, black=BLACK[0] / ms), [*used, "black"])
+        without, within = (_losses(data, pairs, one) for one in (best, other))
+        gain = without - within
+        clearly = gain.sum() > EVIDENCE * math.sqrt(len(gain)) * gain.std()
+        if clearly and other.cost < best.cost - EVIDENCE_OF_BLACK:
+            best = other
+    for rest in RESTS_S[1:]:
+        other = tried(_with(best, rest_s=rest), (), 2)
+        if other.per_row < best.per_row - BETTER_REST:
+            best = other
+    sigmas = dict(_descended(data, pairs, priors, best, numbers, 1).sigmas)
+    if "shift" in sigmas:
+        # Of the lag of the photoreceptor and that of the clock, frames see the sum: the
+        # split is that of the prior.
+        light = float(np.median(pairs.dn / pairs.ms))
+        corner = best.model.bandwidth[0] + best.model.bandwidth[1] * light
+        lag_us = 1e6 / (2 * math.pi * corner) if corner > 0 else 0.0
+        sigmas["shift"] = math.hypot(
+            sigmas["shift"], lag_us * priors.bandwidth_sigma[0])
+    # The lag belongs to the interpolation: the thresholds are fitted again without it.
+    best = _descended(data, every, priors, _changed(best, lag_us=0.0), {}, 3,
+                      steps=EM_STEPS)
+    best = _changed(best, sigmas={**sigmas, **best.sigmas})
+    return _honest(data, every, priors, best)
+
+
+def _honest(data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit) -> _Fit:
+    """Return the fit with thresholds moved only as far as light moved.
+
+    Errors of counts attenuate thresholds by up to their share in the changes; what (9)
+    restores is not known better than that.
+    """
+    rows = _rows(data, _past(data, fit.model), pairs, fit)
+    counted = float(np.mean(rows.feature[:, :2].sum(1) ** 2))
+    seen = float(np.mean(rows.change**2 - rows.frame_noise)) / float(
+        np.mean(priors.theta)) ** 2
+    common = (COUNT_NOISE / max(min(counted, seen), 1e-6)) ** 2 + MODEL_ERROR**2
+    told = priors.theta_sigma**2
+    old = np.minimum(np.array([fit.sigmas["off"], fit.sigmas["on"]]) ** 2, 0.999 * told)
+    by_data = 1 / (1 / old - 1 / told) + common
+    new = 1 / (1 / by_data + 1 / told)
+    share = np.clip((1 - new / told) / (1 - old / told), 0, 1)
+    theta = np.array(priors.theta)
+    theta = theta * (fit.model.theta / theta) ** share
+    sigma = np.sqrt(new) * theta
+    shared = common / by_data.max() * float(sigma.prod())
+    cov = np.array([[sigma[0]**2, shared], [shared, sigma[1]**2]])
+    return _changed(_with(fit, theta=theta, theta_cov=cov), sigmas={
+        **fit.sigmas, "off": math.sqrt(new[0]), "on": math.sqrt(new[1])})
+
+
+def _losses(data: Sampled, pairs: Pairs, fit: _Fit) -> Floats:
+    """Return the loss of each pair in ln DN, robust from LOSS on."""
+    rows = _rows(data, _past(data, fit.model), pairs, fit)
+    error = (_residual(rows, fit.model) * rows.jacobian) ** 2 / (
+        rows.frame_noise * rows.jacobian**2 + LOSS**2)
+    losses = np.bincount(pairs.pair, 2 * (np.sqrt(1 + error) - 1))
+    return losses.astype(np.float64)
+
+
+def _apart(fits: Sequence[_Fit]) -> list[_Fit]:
+    """Return the first of some fits, and the next of another minimum."""
+    first = fits[0]
+    return [first, *[one for one in fits[1:]
+                     if abs(one.shift_us - first.shift_us) > 3000][:1]]
+
+
+def _effect(data: Sampled, pairs: Pairs, fit: _Fit) -> float:
+    """Return the design effect at a fit."""
+    rows = _rows(data, _past(data, fit.model), pairs, fit)
+    residual, f = _residual(rows, fit.model), rows.feature[:, :2]
+    k, _ = robust(residual, rows.variance(fit.model))
+    return _design_effect(
+        f * (k * residual)[:, None], (f * k[:, None]).T @ f, pairs.pair)
+
+
+def _mean_gap(data: Sampled, pairs: Pairs, fit: _Fit) -> float:
+    """Return the mean time in which a pixel that moves passes a threshold, us."""
+    rows = _rows(data, _past(data, fit.model), pairs, fit)
+    passed = np.abs(rows.parts[pairs.short]).sum() / float(fit.model.theta.mean())
+    return 1e6 * float(pairs.seconds[pairs.short].sum()) / max(float(passed), 1.0)
+
+
+def _numbers(priors: Priors, gap_us: float, pairs: Pairs) -> dict[str, _Number]:
+    every: dict[str, _Number] = {}
+    if priors.clock_us is not None:
+        every["shift"] = _Number(
+            *priors.clock_us, 300.0, 1500.0, lambda f: f.shift_us,
+            lambda f, x: _changed(f, shift_us=x))
+    every["lag"] = _Number(
+        0.0, LAG_OF_GAP * gap_us, 300.0, 1500.0, lambda f: f.lag_us,
+        lambda f, x: _changed(f, lag_us=x))
+    if priors.black is None:
+        ms = float(np.median(pairs.ms))
+        every["black"] = _Number(
+            0.0, BLACK[1] / ms, 4.0 / ms, 30.0 / ms, lambda f: f.model.black,
+            lambda f, x: _with(f, black=max(x, 0.0)))
+    for i, name in enumerate(("f0", "slope")):
+        if priors.bandwidth[i] > 0 and priors.bandwidth_sigma[i] > 0:
+            every[name] = _of_bandwidth(priors, i)
+    return every
+
+
+def _of_bandwidth(priors: Priors, i: int) -> _Number:
+    """Return the logarithm of one of the two numbers of the bandwidth."""
+
+    def put(fit: _Fit, value: float) -> _Fit:
+        law = list(fit.model.bandwidth)
+        law[i] = math.exp(value)
+        return _with(fit, bandwidth=tuple(law))
+
+    return _Number(math.log(priors.bandwidth[i]), priors.bandwidth_sigma[i], 0.2, 0.7,
+                   lambda fit: math.log(fit.model.bandwidth[i]), put)
+
+
+def _descended(
+    data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit,
+    free: Mapping[str, _Number], rounds: int = ROUNDS,
+    prior: Mapping[str, _Number] | None = None, steps: int = 1,
+) -> _Fit:
+    """Return the fit after Gauss-Newton steps in the thresholds and `free` numbers."""
+    past = _past(data, fit.model)
+    fit = _changed(fit, cost=math.inf)
+    best, before = fit, math.inf
+    for turn in range(rounds + 1):
+        rows = _rows(data, past, pairs, fit)
+        if turn:
+            fit = _with(fit, noise=_noise(rows, fit.model))
+            fit = _with_gains(rows, fit, steps)
+            rows = _rows(data, past, pairs, fit)
+        fit = _likelihood(rows, fit, priors, free if prior is None else prior)
+        if (turn or not rounds) and fit.cost < best.cost:
+            best = fit
+        if turn == rounds or (turn > 1 and abs(before - fit.cost) < 0.1):
+            break
+        before = fit.cost
+        fit = _step(data, past, pairs, rows, fit, priors, free)
+    return best
+
+
+def _rows(data: Sampled, past: NDArray[np.void], pairs: Pairs, fit: _Fit) -> Rows:
+    return linearized(data, past, pairs, fit.model, fit.gains,
+                      fit.shift_us + fit.lag_us, EVER_US)
+
+
+def _residual(rows: Rows, model: PixelModel) -> Floats:
+    return rows.change - rows.feature[:, :2] @ model.theta - (
+        rows.feature[:, 2:] @ model.by_class.ravel())
+
+
+def _likelihood(
+    rows: Rows, fit: _Fit, priors: Priors, free: Mapping[str, _Number],
+) -> _Fit:
+    """Return the fit with its costs."""
+    variance = rows.variance(fit.model)
+    residual = _residual(rows, fit.model)
+    k, cost = robust(residual, variance)
+    # Of ln DN: a larger black level makes all changes of ln(I + black) smaller.
+    cost = cost + np.log(variance * rows.jacobian**2)
+    f = rows.feature[:, :2]
+    effect = fit.effect or _design_effect(
+        f * (k * residual)[:, None], (f * k[:, None]).T @ f, rows.pairs.pair)
+    theta = np.array(priors.theta)
+    total = float(cost.sum()) / effect + float(
+        (((fit.model.theta - theta) / (priors.theta_sigma * theta)) ** 2).sum())
+    total += sum(((one.get(fit) - one.mean) / one.sigma) ** 2 for one in free.values())
+    return _changed(fit, cost=total, per_row=float(cost.mean()))
+
+
+def _design_effect(
+    score: Floats, information: Floats, pair: NDArray[np.int64],
+) -> float:
+    """Return by how much errors that rows of a pair share exceed independent ones."""
+    number = int(pair.max()) + 1
+    total = np.stack([np.bincount(pair, each, number) for each in score.T], 1)
+    ridge = 1e-9 * np.trace(information) * np.eye(len(information))
+    ratio = np.trace(np.linalg.solve(information + ridge, total.T @ total)) / len(
+        information)
+    return float(max((COMMON_ERROR * COMMON_PAIRS + ratio * number) / (
+        COMMON_PAIRS + number), 1.0))
+
+
+def _noise(rows: Rows, model: PixelModel) -> tuple[float, float, float]:
+    return fitted_noise(rows, model, _residual(rows, model))
+
+
+def _with_gains(rows: Rows, fit: _Fit, steps: int) -> _Fit:
+    """Return the fit with the pixels' gains, and their spread by steps of EM."""
+    used, pixel = np.unique(rows.pairs.pixel, return_inverse=True)
+    n, (off, on) = len(used), rows.parts.T
+    k, _ = robust(_residual(rows, fit.model), rows.variance(fit.model))
+    residual = _residual(rows, fit.model) + (
+        fit.gains[:, rows.pairs.pixel] * rows.parts.T).sum(0)
+    a, b, c, x, y = (np.bincount(pixel, k * each, n) for each in (
+        off * off, off * on, on * on, off * residual, on * residual))
+    spread = fit.model.spread
+    for _ in range(steps):
+        inverse = 1 / spread**2
+        det = (a + inverse) * (c + inverse) - b * b
+        of_used = np.stack([(c + inverse) * x - b * y, (a + inverse) * y - b * x]) / det
+        spread = math.sqrt(np.mean(
+            (of_used - of_used.mean(1, keepdims=True)) ** 2
+            + np.stack([c + inverse, a + inverse]) / det))
+    # What all pixels have in common belongs to the thresholds.  No weights: those that
+    # have most events have the lowest thresholds.
+    mean = of_used.mean(1)
+    of_used = (1 + of_used) / (1 + mean[:, None]) - 1
+    gains = np.zeros_like(fit.gains)
+    gains[:, used] = of_used
+    return _changed(_with(fit, spread=min(max(spread, 0.01), 0.3),
+                          theta=fit.model.theta * (1 + mean)), gains=gains)
+
+
+def _step(
+    data: Sampled, past: NDArray[np.void], pairs: Pairs, rows: Rows, fit: _Fit,
+    priors: Priors, free: Mapping[str, _Number],
+) -> _Fit:
+    """Return the fit after one Gauss-Newton step."""
+    model, theta = fit.model, np.array(priors.theta)
+    residual = _residual(rows, model)
+    k, _ = robust(residual, rows.variance(model))
+    columns = [rows.feature[:, :2]]
+    for name, one in free.items():
+        if name == "lag" and "shift" in free:
+            columns.append(columns[-1])         # frames see the sum of both
+            continue
+        other = one.put(fit, one.get(fit) + one.step)
+        there = _rows(data, past, pairs, other)
+        # In ln DN, and back: a larger black level makes all residuals smaller.
+        slope = (residual * rows.jacobian - _residual(there, other.model)
+                 * there.jacobian) / rows.jacobian / one.step
+        columns.append(slope[:, None])
+    # Counts have errors, which would attenuate the thresholds: their expectation given
+    # the residual is taken off on one side of the normal equations.           (9)
+    share = np.abs(rows.parts) / np.maximum(np.abs(rows.parts).sum(1), 1e-9)[:, None]
+    noise = min(model.noise[1] / float(model.theta.mean()) ** 2, COUNT_NOISE)
+    true = columns[0] + model.theta * noise * share * (residual * k)[:, None]
+    f = columns[0]
+    effect = fit.effect or _design_effect(
+        f * (k * residual)[:, None], (f * k[:, None]).T @ f, pairs.pair)
+    a = np.concatenate(columns, 1)
+    left = np.concatenate([true, *columns[1:]], 1) * k[:, None]
+    values = [one.get(fit) for one in free.values()]
+    to_prior = np.concatenate([theta - model.theta, [
+        one.mean - value for one, value in zip(free.values(), values, strict=True)]])
+    inverse = 1 / np.concatenate([
+        priors.theta_sigma * theta, [one.sigma for one in free.values()]]) ** 2
+    step = np.linalg.solve(left.T @ a / effect + np.diag(inverse),
+                           left.T @ residual / effect + inverse * to_prior)
+    limit = np.concatenate([0.3 * theta, [one.largest for one in free.values()]])
+    step *= min(1.0, float(np.min(limit / np.maximum(np.abs(step), 1e-12))))
+    cov = np.linalg.inv((a * k[:, None]).T @ a / effect + np.diag(inverse))
+    sigma = np.sqrt(np.diag(cov))
+    for one, value, change in zip(free.values(), values, step[2:], strict=True):
+        fit = one.put(fit, float(value + change))
+    fit = _with(fit, theta=np.maximum(model.theta + step[:2], 0.1 * theta),
+                theta_cov=cov[:2, :2])
+    found = dict(zip(free, sigma[2:].tolist(), strict=True))
+    return _changed(fit, sigmas={
+        **found, "off": float(sigma[0] / fit.model.theta[0]),
+        "on": float(sigma[1] / fit.model.theta[1])})
+
+

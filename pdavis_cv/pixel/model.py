@@ -1,0 +1,122 @@
+"""The numbers of a camera that turn events and frames into log intensity."""
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["CONTEXTS", "GAP_CLASSES", "LAGS_S", "RATIOS", "PixelModel"]
+
+GAP_CLASSES, CONTEXTS, RATIOS = 5, 4, 5
+"""Classes of the gap before an event; contexts and lengths of a silence after one."""
+
+LAGS_S = (-0.04, -0.01, -0.002, 0.0045, 0.018, 0.0)
+"""Times at which events are compared with now, s; those of weight 0 cost nothing."""
+
+_LAGS = len(LAGS_S)
+
+
+def _zeros(*shape: int) -> NDArray[np.float64]:
+    return np.zeros(shape)
+
+
+_BY_CLASS = partial(_zeros, 2, GAP_CLASSES)
+_BY_LAG, _NOW = partial(_zeros, _LAGS, 2), partial(_zeros, 2)
+_END = partial(_zeros, CONTEXTS, RATIOS)
+_BOW = partial(np.full, (CONTEXTS, RATIOS), 0.5)
+_OPEN = partial(np.full, (CONTEXTS, RATIOS), 0.08)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PixelModel:
+    """A camera as the estimator of log intensity takes it.
+
+    Equations are those of docs/theory/increments.md.  Polarities are in the order OFF,
+    ON; log intensity is natural, light in DN per ms of exposure.
+
+    Parameters
+    ----------
+    theta : ndarray of float64, shape (2,)
+        Contrast thresholds, positive.
+    theta_cov : ndarray of float64, shape (2, 2)
+        Their covariance.
+    spread : float
+        Standard deviation of the pixels' relative deviations from them (gains).
+    black : float
+        Light that frames lack, DN/ms: ln(I + black) is what events follow.
+    bandwidth : (float, float)
+        Corner frequency of the photoreceptor, Hz, and its increase by light, Hz per
+        DN/ms; zeros: no lag.
+    rest_s, dead_s : float
+        Gap (s) in which light is as likely still as moving (3), and dead time (4).
+    noise : (float, float, float)
+        alpha (per s), beta (per change) and gamma (per threshold) of (8), ln^2.
+    read_variance, shot : float
+        Variance of a frame, DN^2, and its increase per DN.
+    by_class : ndarray of float64, shape (2, GAP_CLASSES)
+        Further change of light by an event after a gap of a class.
+    end, bow, open_variance : ndarray of float64, shape (CONTEXTS, RATIOS)
+        E, B and var(phi) of silences whose end is not known (2c).
+    own, cell, near : ndarray of float64, shape (len(LAGS_S), 2)
+        Weights of counts at a lag less those now: of the pixel, of its macropixel's
+        mean, and of the mean of the four nearest pixels with the same polarizer.
+    cell_now, near_now : ndarray of float64, shape (2,)
+        Weights of those means now, less the pixel's own count.
+    """
+
+    theta: NDArray[np.float64]
+    theta_cov: NDArray[np.float64] = field(default_factory=partial(_zeros, 2, 2))
+    spread: float = 0.05
+    black: float = 0.0
+    bandwidth: tuple[float, float] = (0.0, 0.0)
+    rest_s: float = 0.25
+    dead_s: float = 0.0
+    noise: tuple[float, float, float] = (0.02, 0.004, 0.001)
+    read_variance: float = 25.0
+    shot: float = 0.1
+    by_class: NDArray[np.float64] = field(default_factory=_BY_CLASS)
+    end: NDArray[np.float64] = field(default_factory=_END)
+    bow: NDArray[np.float64] = field(default_factory=_BOW)
+    open_variance: NDArray[np.float64] = field(default_factory=_OPEN)
+    own: NDArray[np.float64] = field(default_factory=_BY_LAG)
+    cell: NDArray[np.float64] = field(default_factory=_BY_LAG)
+    near: NDArray[np.float64] = field(default_factory=_BY_LAG)
+    cell_now: NDArray[np.float64] = field(default_factory=_NOW)
+    near_now: NDArray[np.float64] = field(default_factory=_NOW)
+
+    @property
+    def looks_around(self) -> bool:
+        """Whether other times or pixels have a weight."""
+        return any(np.any(each) for each in (
+            self.own, self.cell, self.near, self.cell_now, self.near_now))
+
+    @property
+    def numbers(self) -> NDArray[np.float64]:
+        """The numbers in the order of `camera_t` in _increments.h."""
+        lags = np.where(np.any(self.own, 1) | np.any(self.cell, 1) | np.any(
+            self.near, 1), LAGS_S, 0.0)
+        return np.concatenate([np.ravel(each) for each in (
+            self.rest_s, self.dead_s, self.bandwidth, self.black, self.noise,
+            self.theta, self.theta_cov[0, 0], self.theta_cov[0, 1],
+            self.theta_cov[1, 1], self.spread**2, self.by_class, self.end, self.bow,
+            self.open_variance, lags, self.own, self.cell, self.near,
+            -self.cell_now - self.near_now, self.cell_now, self.near_now)]).astype(
+                np.float64)
+
+    def replace(self, **changes: Any) -> PixelModel:
+        """Return a model in which some fields are others."""
+        return replace(self, **changes)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, PixelModel) and self.same(other)
+
+    def __hash__(self) -> int:
+        return hash(self.numbers.tobytes())
+
+    def same(self, other: PixelModel) -> bool:
+        """Return whether all fields are equal."""
+        return all(np.array_equal(getattr(self, one.name), getattr(other, one.name))
+                   for one in fields(self))

@@ -1,0 +1,265 @@
+"""The regression of a recording's increments: frames against what events say."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv.pixel.model import LAGS_S, PixelModel
+from pdavis_cv.pixel.sample import Sampled
+
+__all__ = ["SHORT_US", "Pairs", "Rows", "around_rows", "counts_at",
+           "fitted_noise", "linearized", "pairs_of", "robust", "thinned"]
+
+Floats = NDArray[np.float64]
+
+SPANS = (1, 3, 9)
+"""Frames between both of a pair; long ones for pixels with few events."""
+
+LEAST_PASSED, MOST_PASSED = 0.5, 3.0
+"""Events that a short pair has at least, and a third of a long one at most."""
+
+EDGE_US = 40_000
+"""Beyond the exposures, us, events also count as motion of the pair."""
+
+MOST_ROWS, MOST_PER_PAIR = 36_000, 1_200
+"""Upper bounds of rows, by pair as well: the time it takes."""
+
+LEAST_DN = 8
+"""Least DN of a sample that is used."""
+
+SHORT_US, SAMPLES = 1500, 7
+"""Exposure up to which its middle is looked at, us; else at how many times it is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Rows of the regression: a pixel in two frames.
+
+    Parameters
+    ----------
+    pixel, pair : ndarray of int, shape (N,)
+        Sampled pixel; number of the pair of frames.
+    dn : ndarray of float64, shape (2, N)
+    ms : ndarray of float64, shape (2, N)
+        Exposures, ms; 1 where they are not known.
+    exposure : ndarray of int64, shape (2, 2, N)
+        (frame, begin and end), us.
+    short : ndarray of bool, shape (N,)
+        Whether the frames follow each other.
+    """
+
+    pixel: NDArray[np.int32]
+    pair: NDArray[np.int64]
+    dn: Floats
+    ms: Floats
+    exposure: NDArray[np.int64]
+    short: NDArray[np.bool_]
+
+    def part(self, keep: NDArray[np.bool_]) -> Pairs:
+        """Return some of the rows."""
+        pair = np.unique(self.pair[keep], return_inverse=True)[1]
+        return Pairs(self.pixel[keep], pair, self.dn[:, keep], self.ms[:, keep],
+                     self.exposure[..., keep], self.short[keep])
+
+    @property
+    def seconds(self) -> Floats:
+        """Time between both middles."""
+        first, last = self.exposure.mean(1)
+        seconds: Floats = 1e-6 * (last - first)
+        return seconds
+
+
+def pairs_of(data: Sampled, shift_us: float) -> Pairs | None:
+    """Choose pixels that moved between frames; None: there are too few."""
+    size, frames = len(data.start) - 1, data.frames
+    mids = np.array([frame.middle_us for frame in frames]) + shift_us
+    counts: dict[float, NDArray[np.int64]] = {}
+    edges = [frame.middle_us + shift_us + sign * (
+        EDGE_US + 0.5 * float(frame.exposure[1].mean() - frame.exposure[0].mean()))
+        for frame in frames for sign in (-1, 1)]
+    now, before = np.zeros(size, np.int64), 0
+    for t in sorted({*mids.tolist(), *edges}):
+        at = int(np.searchsorted(data.t, t, "right"))
+        now = now + np.bincount(data.pixel[before:at], minlength=size)
+        counts[t], before = now, at
+    rng = np.random.default_rng(1)
+    found: list[tuple[int, int, bool, NDArray[np.intp]]] = []
+    for span in SPANS:
+        for a in range(0, len(frames) - span, span):
+            b = a + span
+            ok = frames[a].usable & frames[b].usable & (
+                np.minimum(frames[a].dn, frames[b].dn) >= LEAST_DN)
+            ok &= counts[edges[2 * b + 1]] - counts[edges[2 * a]] >= LEAST_PASSED
+            if span > 1:
+                ok &= counts[mids[b]] - counts[mids[a]] < 3 * MOST_PASSED
+                ok &= counts[mids[a + span // 3]] - counts[mids[a]] < MOST_PASSED
+            chosen = np.flatnonzero(ok)
+            if len(chosen) >= 4:
+                found.append((a, b, span == 1, chosen))
+    if not found:
+        return None
+    most = min(MOST_PER_PAIR, max(MOST_ROWS // len(found), 40))
+    rows = []
+    for number, (a, b, short, chosen) in enumerate(found):
+        if len(chosen) > most:
+            chosen = np.sort(rng.choice(chosen, most, replace=False))
+        exposure = np.stack([frames[k].exposure[:, chosen] for k in (a, b)])
+        ms = np.maximum(1e-3 * (exposure[:, 1] - exposure[:, 0]), 0)
+        rows.append((chosen.astype(np.int32), np.full(len(chosen), number),
+                     np.stack([frames[k].dn[chosen] for k in (a, b)]),
+                     np.where(ms > 0, ms, 1), exposure, np.full(len(chosen), short)))
+    return Pairs(*(np.concatenate(each, -1) for each in zip(*rows, strict=True)))
+
+
+def thinned(pairs: Pairs, most: int) -> Pairs:
+    """Return at most so many of the rows."""
+    number = len(pairs.pair)
+    return pairs if number <= most else pairs.part(
+        np.arange(number) % -(-number // most) == 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """The regression at a model: change = feature @ weights + noise.
+
+    Parameters
+    ----------
+    feature : ndarray of float64, shape (N, 12)
+        M-, M+ and counts by class, times 1 + gain.
+    change : ndarray of float64, shape (N,)
+        Change of ln(I + black), less what depends on the weights beyond that.
+    jacobian : ndarray of float64, shape (N,)
+        d ln DN / dJ.
+    frame_noise : ndarray of float64, shape (N,)
+        Variance of both samples.
+    parts : ndarray of float64, shape (N, 2)
+        Change by OFF and ON events.
+    """
+
+    feature: Floats
+    change: Floats
+    jacobian: Floats
+    frame_noise: Floats
+    parts: Floats
+    pairs: Pairs
+
+    def noise_features(self, theta: float) -> Floats:
+        """Return the regressors of the variance (8): time, whether and how many."""
+        passed = np.abs(self.parts).sum(1) / theta
+        return np.stack([self.pairs.seconds, np.minimum(passed, 1), passed], 1)
+
+    def variance(self, model: PixelModel) -> Floats:
+        """Return the variance of each row (8)."""
+        theta = max(float(model.theta.mean()), 0.05)
+        variance: Floats = self.frame_noise + self.noise_features(theta) @ np.array(
+            model.noise)
+        return variance
+
+
+def linearized(
+    data: Sampled, past: NDArray[np.void], pairs: Pairs, model: PixelModel,
+    gains: Floats, shift_us: float, ahead_us: int = 0,
+) -> Rows:
+    """Return the regression at a model; frames are moved by shift_us."""
+    factor = np.ascontiguousarray(1 + gains[:, pairs.pixel])
+    exposure = pairs.exposure + np.int64(round(shift_us))
+    long = int((exposure[:, 1] - exposure[:, 0]).max()) > SHORT_US
+    known = exposure[1, 1] + ahead_us
+    logs = np.log(np.maximum(pairs.dn / pairs.ms + model.black, 1e-3))
+    means = []
+    for k in (0, 1):
+        out = np.empty((len(pairs.pixel), 13))
+        until = known if k == 0 else np.zeros_like(known)
+        _kernels.learning_means(
+            past, data.start, pairs.pixel, np.ascontiguousarray(np.stack(
+                [*exposure[k], until])), ahead_us, np.ascontiguousarray(logs[k]),
+            SAMPLES if long else 1, model.numbers, factor, out)
+        means.append(out)
+    weights = np.concatenate([model.theta, model.by_class.ravel()])
+    feature = (means[1] - means[0])[:, :12]
+    feature[:, [0, *range(2, 7)]] *= factor[0][:, None]
+    feature[:, [1, *range(7, 12)]] *= factor[1][:, None]
+    h = means[1][:, 12] - means[0][:, 12]
+    full = pairs.dn + model.black * pairs.ms
+    noise = ((model.read_variance + model.shot * np.maximum(pairs.dn, 1)) / full**2
+             + 1e-4)
+    mean_dn, mean_ms = np.sqrt(pairs.dn[0] * pairs.dn[1]), pairs.ms.mean(0)
+    off = feature[:, [0, *range(2, 7)]] @ weights[[0, *range(2, 7)]]
+    on = feature[:, [1, *range(7, 12)]] @ weights[[1, *range(7, 12)]]
+    return Rows(feature, logs[1] - logs[0] - h + feature @ weights,
+                (mean_dn + model.black * mean_ms) / mean_dn,
+                np.minimum(noise, 1).sum(0),
+                np.stack([off / factor[0], on / factor[1]], 1), pairs)
+
+
+def counts_at(
+    data: Sampled, past: NDArray[np.void], pairs: Pairs, model: PixelModel,
+    gains: Floats, shift_us: float, ahead_us: int, at: float,
+) -> Floats:
+    """Return M-, M+ and counts by class, times 1 + gain, in the second exposures.
+
+    at is the part of them that has passed; shape (N, 12).
+    """
+    begin, end = pairs.exposure[1] + np.int64(round(shift_us))
+    t = (begin + at * (end - begin)).astype(np.int64)
+    factor = np.ascontiguousarray(1 + gains[:, pairs.pixel])
+    out = np.empty((len(t), 13))
+    _kernels.learning_means(
+        past, data.start, pairs.pixel, np.stack([t, t, np.zeros_like(t)]), ahead_us,
+        np.zeros(len(t)), 1, model.replace(bandwidth=(0.0, 0.0)).numbers, factor, out)
+    out[:, [0, *range(2, 7)]] *= factor[0][:, None]
+    out[:, [1, *range(7, 12)]] *= factor[1][:, None]
+    return out[:, :12]
+
+
+def around_rows(
+    data: Sampled, past: NDArray[np.void], pairs: Pairs, model: PixelModel,
+    shift_us: float, ahead_us: int, at: float = 0.5, of_first: bool = True,
+) -> Floats:
+    """Return the features of other times and pixels, shape (N, 6 lags + 4).
+
+    at is the part of the exposures that has passed; of_first: less those of the first
+    frame.
+    """
+    lags = np.array(LAGS_S)
+    outs = []
+    for k in (1, 0) if of_first else (1,):
+        begin, end = pairs.exposure[k] + np.int64(round(shift_us))
+        times = (begin + at * (end - begin)).astype(np.int64)
+        known = times + ahead_us if k == 1 else np.maximum(
+            times + ahead_us, pairs.exposure[1, 1] + np.int64(round(shift_us))
+            + ahead_us)
+        out = np.empty((len(times), 6 * len(lags) + 4), np.float32)
+        _kernels.learning_around(
+            past, data.start, np.ascontiguousarray(data.places[pairs.pixel]), times,
+            known, lags, model.numbers, out)
+        outs.append(out.astype(np.float64))
+    return outs[0] - outs[1] if of_first else outs[0]
+
+
+def robust(residual: Floats, variance: Floats) -> tuple[Floats, Floats]:
+    """Return weights of pseudo-Huber residuals, and their cost."""
+    root = np.sqrt(1 + residual * residual / variance)
+    return 1 / variance / root, 2 * (root - 1)
+
+
+def fitted_noise(
+    rows: Rows, model: PixelModel, residual: Floats
+) -> tuple[float, float, float]:
+    """Return alpha, beta, gamma of (8) from squared residuals."""
+    from scipy.optimize import nnls  # it takes a tenth of a second
+
+    x = rows.noise_features(max(float(model.theta.mean()), 0.05))
+    excess = np.maximum(np.clip(residual**2, 0, 1) - rows.frame_noise, -0.2)
+    weight, noise = np.ones(len(residual)), np.zeros(3)
+    for _ in range(4):
+        # Least squares, none negative, by Cholesky's factor of the normal equations.
+        square = (x.T * weight**2) @ x
+        factor = np.linalg.cholesky(square + 1e-9 * np.trace(square) * np.eye(3)).T
+        noise, _ = nnls(factor, np.linalg.solve(factor.T, x.T @ (weight**2 * excess)))
+        weight = 1 / (x @ noise + 0.01 + rows.frame_noise)
+    alpha, beta, gamma = np.maximum(noise, [1e-3, 1e-4, 1e-5])
+    return float(alpha), float(beta), float(gamma)

@@ -1,0 +1,99 @@
+"""Records of the increments' filter, and a frame that waits in it."""
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.pixel.model import PixelModel
+from pdavis_cv.reconstruct.frames import log_exposure, usable_samples
+from pdavis_cv.recording.base import ApsFrame
+
+__all__ = ["ANCHOR_DTYPE", "EVENT_DTYPE", "NODE_DTYPE", "PIXEL_DTYPE", "SHOWN_DTYPE",
+           "Waiting"]
+
+SHORT_US = 1500
+"""Exposure up to which the light in the middle is the mean light, us; else it is
+averaged over `SAMPLES` times."""
+SAMPLES = 7
+
+_LEAST_VARIANCE = 1e-4
+"""ln^2: what a sample errs by at least, one per cent; no pixel is exactly linear."""
+
+EVENT_DTYPE = np.dtype([
+    ("t", "<i8"), ("light", "<f8", 2), ("count", "<f8", 2), ("before", "<f4"),
+    ("before2", "<f4"), ("prev", "<i4"), ("next", "<i4"), ("pixel", "<i4"),
+    ("sign", "i1"), ("context", "i1"), ("run", "i1"), ("run_before", "i1")])
+PIXEL_DTYPE = np.dtype([
+    ("at", EVENT_DTYPE), ("newest", EVENT_DTYPE),
+    ("at_index", "<i4"), ("newest_index", "<i4"),
+    ("next", "<i4"), ("flags", "<i4")])
+NODE_DTYPE = np.dtype([
+    ("mean", "<f8"), ("light", "<f8", 2), ("open_t", "<i8"),
+    ("around_t", "<i8"), ("open_variance", "<f4"),
+    ("around", "<f4"), ("log", "<f4"), ("variance", "<f4")])
+ANCHOR_DTYPE = np.dtype([
+    ("log", "<f4"), ("gain", "<f4", 2), ("p", "<f4", 6), ("hot", "<f4"),
+    ("motion", "<f4"), ("sampled", "<f4")])
+SHOWN_DTYPE = np.dtype([
+    ("until", "<i8"), ("last", "<i8"), ("next", "<i8"), ("ahead", "<f4"),
+    ("behind", "<f4"), ("p_ahead", "<f4"), ("p_behind", "<f4"), ("common", "<f4"),
+    ("theta", "<f4", 2), ("corner", "<f4"),
+    ("before", "<f4"), ("next_weight", "<f4"), ("drift", "<f4"), ("extra", "<f4"),
+    ("opened", "<f4"),
+    ("sign", "i1"), ("next_sign", "i1"), ("context", "i1"), ("state", "i1")])
+"""Records of _kernels/_increments.pxd, which says what their fields are."""
+
+
+class Waiting:
+    """A frame, and what the events say in its exposure.
+
+    Parameters
+    ----------
+    frame : ApsFrame
+        As read out.
+    black : float
+        Light that it lacks, DN/ms.
+    model : PixelModel
+        Gives its noise.
+    """
+
+    def __init__(self, frame: ApsFrame, model: PixelModel) -> None:
+        self.frame = frame
+        self.exposure = np.stack([
+            np.broadcast_to(edge, frame.shape[1:]) for edge in (
+                frame.exposure_start_us, frame.exposure_end_us)]).astype(np.int64)
+        self.middle = np.asarray(frame.column_mid_us, np.int64)
+        self.mid_us, self.begin_us = int(self.middle.max()), int(self.exposure[0].min())
+        self.end_us = int(self.exposure[1].max())
+        self.arrived_us = frame.available_us
+        self.nodes = np.zeros(frame.shape, NODE_DTYPE)
+        self.around: NDArray[np.float64] | None = None  # see `increments_around`
+        self.known_us: int | None = None    # up to which events have been looked at
+        self.set_model(model)
+
+    def set_model(self, model: PixelModel) -> None:
+        """Compute log light and its noise."""
+        frame, dn = self.frame, self.frame.dn
+        ms = np.exp(log_exposure(frame))
+        black = np.float32(model.black) * ms
+        full = np.maximum(dn + black, 1)
+        variance = ((model.read_variance + model.shot * np.maximum(dn, 1))
+                    / np.maximum(full, 1) ** 2 + _LEAST_VARIANCE)
+        usable = (usable_samples(frame) > 0) & (dn >= 1)
+        self.nodes["log"] = np.log(full) - np.log(ms)
+        self.nodes["variance"] = np.where(usable, np.minimum(variance, 1), 0)
+
+    @property
+    def samples(self) -> int:
+        """Number of times in the exposure at which light is evaluated."""
+        longest = int((self.exposure[1] - self.exposure[0]).max())
+        return 1 if longest <= SHORT_US else SAMPLES
+
+    def copy(self) -> Waiting:
+        """Return an independent copy."""
+        other = copy.copy(self)
+        other.nodes = self.nodes.copy()
+        other.around = None if self.around is None else self.around.copy()
+        return other

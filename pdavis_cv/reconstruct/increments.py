@@ -1,0 +1,571 @@
+"""Filter of log intensity: learned increments of events, joined with frames."""
+from __future__ import annotations
+
+import copy
+import itertools
+from collections.abc import Callable, Sequence
+from functools import partial
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv._checks import output, positive, sensor_shape, whole_number
+from pdavis_cv._types import Events, Parameters, Records, State
+from pdavis_cv.events import FAR, checked_time, timed_events
+from pdavis_cv.pixel.model import LAGS_S, PixelModel
+from pdavis_cv.reconstruct.base import (
+    WHOLE_SENSOR,
+    Estimate,
+    Needs,
+    Reconstructor,
+)
+from pdavis_cv.reconstruct.frames import log_exposure
+from pdavis_cv.reconstruct.increment_frames import (
+    ANCHOR_DTYPE,
+    EVENT_DTYPE,
+    NODE_DTYPE,
+    PIXEL_DTYPE,
+    SHOWN_DTYPE,
+    Waiting,
+)
+from pdavis_cv.reconstruct.kalman.lasting_degree import LastingDegree
+from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
+from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
+from pdavis_cv.reconstruct.redundancy import RATIO_SIGMA
+from pdavis_cv.reconstruct.stream_clock import NEVER, StreamClock, checked_threshold
+from pdavis_cv.reconstruct.tracks import as_bytes
+from pdavis_cv.recording.base import ApsFrame
+
+__all__ = ["IncrementFilter"]
+
+LOOKAHEADS = {"buffered": 50_000, "causal": 0, "offline": 500_000}
+"""How long after its time an image is made, us: events and frames up to then count."""
+
+WAIT_US = 50_000
+"""How long the next event of a pixel is waited for at most, us."""
+
+_REACH_US = 5_000 - round(1e6 * min(LAGS_S))
+_AHEAD_US = round(1e6 * max(LAGS_S))
+_LATE_US = 500_000
+_NO_EVENTS = 1 << 14
+
+
+class IncrementFilter(Reconstructor):
+    """Filter that joins learned increments of events with frames.
+
+    How much light changes by an event, and what silence means, are regressions on the
+    recording itself (`PixelModel`).  A Kalman filter of three numbers per pixel, level
+    and the deviations of both thresholds, joins them with frames; frames after the
+    time of an image, within the look-ahead, count as those before it do.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        (height, width).
+    theta_on, theta_off : float, or array_like of shape (H, W)
+        Contrast thresholds, positive, in natural-log units.  Of maps, the deviations
+        from the mean are what the pixels' gains begin with.
+    mode : {"buffered", "causal", "offline"}
+        What an image knows beyond its time: `lookahead_us`, nothing, or 0.5 s.
+    lookahead_us : int, optional
+        Default 50,000 when buffered, 500,000 offline, 0 when causal (no other value
+        is possible).
+    model : PixelModel, optional
+        Learned numbers of the camera; its thresholds replace the mean of those stated.
+    ratio_sigma : float
+        As for `EventRedundancy`, which estimates pixels that every frame saturates.
+    response : array_like of shape (2, 2, 3) or (H, W, 3), optional
+        Response of each pixel (of the cell) to S0, S1, S2; default: ideal polarizers,
+        orthogonal ones on the diagonals.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is out of range; the message names it.
+
+    Notes
+    -----
+    A pixel is valid from its first usable sample on, while its variance is at most
+    0.25.  Results do not depend on how the stream is cut up.
+    """
+
+    method = "increments"
+    trials = MappingProxyType({
+        "increments": {}, "increments offline": {"mode": "offline"}})
+    needs = Needs(lamp=True, learned=frozenset({"model", "ratio_sigma"}))
+    causal_parameters = MappingProxyType({"mode": "causal"})
+    margin = WHOLE_SENSOR
+    lookahead_us: int
+
+    def __init__(
+        self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
+        mode: str = "buffered", lookahead_us: int | None = None,
+        model: PixelModel | None = None, ratio_sigma: float = RATIO_SIGMA,
+        response: ArrayLike | None = None,
+    ) -> None:
+        self.shape = sensor_shape(shape)
+        if mode not in LOOKAHEADS:
+            raise ValueError(
+                f"mode must be 'buffered', 'causal' or 'offline', got {mode!r}")
+        lookahead_us = whole_number("lookahead_us", (
+            LOOKAHEADS[mode] if lookahead_us is None else lookahead_us), 0, FAR)
+        if (lookahead_us > 0) != (mode != "causal"):
+            raise ValueError(
+                "lookahead_us must be positive in modes 'buffered' and 'offline' and 0 "
+                f"in mode 'causal', got {lookahead_us} in {mode!r}")
+        self._mode, self.lookahead_us = mode, lookahead_us
+        self.takes_late_frames = mode == "causal"
+        self._wait_us = min(lookahead_us, WAIT_US)
+        self._theta = tuple(checked_threshold(name, theta, self.shape) for name, theta
+                            in (("theta_off", theta_off), ("theta_on", theta_on)))
+        self._ratio_sigma = positive("ratio_sigma", ratio_sigma)
+        self._given = model
+        self._saturated = Saturated(
+            self.shape, self._theta[1], self._theta[0], response, lookahead_us,
+            (*self._model.bandwidth, 0.1), self._ratio_sigma)
+        self._begin()
+
+    @property
+    def _model(self) -> PixelModel:
+        if self._given is not None:
+            return self._given
+        return PixelModel(theta=np.array([float(np.mean(t)) for t in self._theta]))
+
+    def _begin(self) -> None:
+        """Create the state of a filter to which nothing has been fed."""
+        self._clock = StreamClock(self.shape)
+        self._numbers = self._model.numbers
+        self._store = np.zeros(_NO_EVENTS, EVENT_DTYPE)
+        self._stop = self._committed = 0
+        self._first_us: int | None = None
+        self._pixels = np.zeros(self.shape, PIXEL_DTYPE)
+        for name in ("at_index", "newest_index", "next"):
+            self._pixels[name] = -1
+        self._anchors = np.zeros(self.shape, ANCHOR_DTYPE)
+        self._begin_gains()
+        self._frames: tuple[Waiting, ...] = ()     # the anchor, then later ones
+        self._passed = 0                            # 1: the first is the anchor
+        self._lasting = LastingDegree(self.shape, self._saturated.response)
+        self._lamp = Lamplight()
+        self._no_node = np.zeros(self.shape, NODE_DTYPE)
+        size = self.shape[0] * self.shape[1]
+        # Pixels that may move, and what an image is made of: see `increments_move`.
+        self._moving, self._listed = np.arange(size, dtype=np.int32), size
+        self._moves = np.empty(size, np.uint8)
+        self._shown = np.zeros(self.shape, SHOWN_DTYPE)
+        self._planes = np.zeros((5, *self.shape), np.float32)
+        self._around = np.zeros((3, *self.shape), np.float32)
+        self._nothing = np.zeros((3, *self.shape))
+        self._all = self._moving.copy()
+        self._unknown = np.empty(0, np.intp)
+        self._changed()
+
+    def _begin_gains(self) -> None:
+        for i, theta in enumerate(self._theta):
+            if np.ndim(theta):
+                self._anchors["gain"][..., i] = theta / np.mean(theta) - 1
+
+    def _changed(self) -> None:
+        """Invalidate what is made for reads."""
+        self._back: NDArray[np.float32] | None = None
+        self._fresh = False
+        self._scratch: tuple[int, int, IncrementFilter] | None = None
+
+    @property
+    def parameters(self) -> Parameters:
+        """Parameters that make an equal filter."""
+        return {"theta_on": self._theta[1], "theta_off": self._theta[0],
+                "mode": self._mode, "lookahead_us": self.lookahead_us,
+                "model": self._given, "ratio_sigma": self._ratio_sigma,
+                "response": self._saturated.response}
+
+    def retune(self, **learned: Any) -> None:
+        """Continue with another model or `ratio_sigma` (see `Reconstructor`)."""
+        unknown = learned.keys() - {"model", "ratio_sigma", "theta_on", "theta_off",
+                                    "frames_moved_us"}
+        if unknown:
+            raise TypeError("retune takes model, ratio_sigma, theta_on, theta_off and "
+                            f"frames_moved_us, got {', '.join(sorted(unknown))}")
+        if "ratio_sigma" in learned:
+            self._ratio_sigma = positive("ratio_sigma", learned["ratio_sigma"])
+        thetas = {"theta_off", "theta_on"} & learned.keys()
+        if thetas:
+            off, on = (learned.get(name, old) for name, old in zip(
+                ("theta_off", "theta_on"), self._theta, strict=True))
+            self._theta = (checked_threshold("theta_off", off, self.shape),
+                           checked_threshold("theta_on", on, self.shape))
+            self._begin_gains()
+        spread, self._given = self._model.spread, learned.get("model", self._given)
+        # What is known of the gains holds as it did, in units of their spread.
+        ratio = self._model.spread / spread
+        self._anchors["p"] *= np.array(
+            [1, ratio, ratio, ratio**2, ratio**2, ratio**2], np.float32)
+        self._saturated.retune(
+            (*self._model.bandwidth, 0.1), self._ratio_sigma,
+            (self._theta[1], self._theta[0]) if thetas else None)
+        self._numbers = self._model.numbers
+        if self._stop:
+            _kernels.increments_weigh(
+                self._store, self._stop, self._first(), self._pixels, self._numbers)
+        moved = learned.get("frames_moved_us", 0)
+        # Frames that wait still have the old stamps.
+        frames = self._frames[:self._passed] if moved else self._frames
+        self._frames = tuple(frame.copy() for frame in frames)
+        for frame in self._frames:
+            known = frame.known_us
+            old = frame.nodes["log"].copy() if frame is self._frames[0] else None
+            frame.set_model(self._model)
+            if old is not None and self._passed:
+                # ln(I + black) with another black level
+                self._anchors["log"] += np.where(
+                    frame.nodes["variance"] > 0, frame.nodes["log"] - old, 0)
+            if known is not None:
+                frame.known_us = None
+                self._look(frame, known)
+        self._changed()
+
+    def _first(self) -> int:
+        return 0 if self._first_us is None else self._first_us
+
+    # ---- feeding -----------------------------------------------------------------
+
+    def add_events(self, events: Events) -> None:
+        """Take events (see `Reconstructor.add_events`)."""
+        events = timed_events(events)
+        if not len(events):
+            return
+        if self._first_us is None:
+            self._first_us = int(events["t"][0])
+        self._make_room(len(events))
+        taken, self._listed = _kernels.increments_push(
+            events, self._clock.last_us, self._first(), self._stop, self._store,
+            self._pixels, self._numbers, self._moving, self._listed)
+        self._stop += taken
+        self._scratch = None
+        self._saturated.add_events(events[:taken], self.workers)
+        try:
+            self._clock.took(events, taken)
+        finally:
+            self._settle(self._clock.last_us)
+
+    def _make_room(self, n: int) -> None:
+        if self._stop + n <= len(self._store):
+            return
+        drop = 0
+        if self._committed:
+            last = int(self._store["t"][self._committed - 1])
+            keep = last - _REACH_US - (_LATE_US if self._mode == "causal" else 0)
+            if self._frames:
+                first = self._frames[0]
+                oldest = first.begin_us - _REACH_US
+                keep = max(min(keep, oldest), last - 2 * _LATE_US)
+                if keep > oldest and first.known_us is not None:
+                    _kernels.increments_close(
+                        self._pixels, self._store, first.exposure, first.middle,
+                        first.samples, self.lookahead_us, oldest, self._numbers,
+                        self._lamp.waves, first.nodes, first.around)
+                    self._changed()
+            drop = int(np.searchsorted(
+                self._store["t"][:self._committed], keep, "left"))
+        old = self._store[drop:self._stop]
+        room = max(len(self._store), 2 * (len(old) + n))
+        store = np.empty(room, EVENT_DTYPE) if room > len(self._store) else self._store
+        as_bytes(store[:len(old)])[:] = as_bytes(old).copy()
+        self._store = store
+        self._stop -= drop
+        self._committed -= drop
+        if drop:
+            _kernels.increments_drop(self._store, self._stop, drop, self._pixels)
+
+    def add_frame(self, frame: ApsFrame) -> None:
+        """Take a frame, which counts once the events of its exposure are there.
+
+        In mode "causal" a frame may also be fed late, when it has been read out.
+        """
+        last = self._frames[-1].frame.mid_us if self._frames else NEVER
+        self._clock.check_frame(frame, last if self.takes_late_frames else None)
+        waiting = Waiting(frame, self._model)
+        self._frames = (*self._frames, waiting)
+        self._scratch = None
+        self._saturated.add_frame(
+            frame, np.log(np.maximum(frame.dn, 1)) - log_exposure(frame),
+            waiting.nodes["variance"].copy(), self.workers)
+
+    def add_wave(self, wave: Wave) -> None:
+        """Take the lamp's flicker in a block (see `Reconstructor.add_wave`)."""
+        self._lamp.add(wave)
+        self._scratch = None
+
+    def settle(self, t_us: int) -> None:
+        """Use what is due (see `Reconstructor.settle`)."""
+        self._clock.last_us = max(self._clock.last_us, t_us)
+        self._settle(t_us)
+        self._saturated.settle(t_us, self.workers)
+
+    def _settle(self, seen_us: int) -> None:
+        """Commit what precedes every later read."""
+        until = seen_us - self.lookahead_us
+        while self._next_passes(seen_us):
+            self._pass_next()
+        before = self._committed
+        self._committed, self._listed = _kernels.increments_commit(
+            self._store, before, self._stop, until, self._pixels, self._moving,
+            self._listed)
+        if self._committed != before:
+            self._scratch = None
+        self._lamp.forget(until - MEMORY_US)
+
+    def _next_passes(self, seen_us: int) -> bool:
+        """Whether the frame after the anchor precedes every later read."""
+        if len(self._frames) == self._passed:
+            return False
+        return self._passes_us(self._frames[self._passed]) <= seen_us
+
+    def _passes_us(self, frame: Waiting) -> int:
+        """Time of the stream from which on a frame is the anchor."""
+        return max(frame.end_us + 1, frame.arrived_us if self._mode == "causal"
+                   else frame.mid_us + self.lookahead_us)
+
+    def _usable_us(self, frame: Waiting) -> int:
+        """Time of the stream from which on a frame after the time read counts."""
+        if self._mode == "causal":
+            return self._passes_us(frame)
+        return max(frame.end_us + 1, frame.mid_us + (
+            self._wait_us if self._mode == "offline" else 0))
+
+    def _pass_next(self) -> None:
+        """Let the next frame be the anchor."""
+        frame = self._frames[self._passed]
+        old = self._frames[0] if self._passed else None
+        known = self._passes_us(frame)
+        self._look(frame, known)
+        if old is not None:
+            self._look(old, known)
+            self._differ(old, frame)
+        middles = np.empty(self.shape, np.float32)
+        before = frame if old is None else old
+        seconds = 1e-6 * (frame.middle - before.middle).astype(np.float64)
+        self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_pass(
+            before.nodes, frame.nodes, seconds, self._numbers, self._anchors, middles,
+            (first, last)))
+        self._lasting.add_frame(middles)
+        self._frames = self._frames[self._passed:]
+        self._passed = 1
+        self._back, self._fresh = None, False
+
+    def _look(self, frame: Waiting, until_us: int) -> None:
+        """Evaluate the exposure of a frame by the events before a time of the stream.
+
+        What earlier events settled stays as it is.
+        """
+        if frame.known_us == until_us:
+            return
+        known, before_us = until_us - 1, frame.known_us
+        again = before_us is not None
+        if self._model.looks_around:
+            ahead = min(known - frame.mid_us, self.lookahead_us)
+            same = before_us is not None and frame.around is not None and (
+                before_us - 1 - frame.mid_us >= min(_AHEAD_US, ahead))
+            if frame.around is None:
+                frame.around = np.empty((3, *self.shape))
+            around = frame.around
+            self.workers.rows(
+                self.shape[0], lambda first, last: _kernels.increments_around(
+                    self._pixels, self._store, frame.middle, known, ahead,
+                    self._numbers, same, frame.nodes, around, (first, last)))
+        else:
+            frame.around = None
+        self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_node(
+            self._pixels, self._store, frame.exposure, frame.samples, known,
+            self._numbers, self._lamp.waves, again, frame.nodes, (first, last)))
+        frame.known_us = until_us
+        self._back, self._fresh = None, False
+
+    def _differ(self, old: Waiting, new: Waiting) -> None:
+        """Set what other times and pixels say of the time between two frames."""
+        if new.around is None or old.around is None:
+            new.nodes["around"] = 0
+            return
+        planes, before, after = self._around, old.around, new.around
+        self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_differ(
+            after, before, self._anchors, planes, (first, last)))
+        new.nodes["around"] = self._mean(planes)
+
+    # ---- reading -----------------------------------------------------------------
+
+    def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
+        """Return the log intensity at t_us (see `Reconstructor.read`)."""
+        estimate, weigh = self._unweighed(t_us, out)
+        weigh(estimate.log_intensity)
+        return estimate
+
+    def begin_read(self, t_us: int) -> Callable[[], Estimate]:
+        """Leave the weighing of the degree (see `Reconstructor.begin_read`)."""
+        estimate, weigh = self._unweighed(t_us)
+
+        def weighed() -> Estimate:
+            log = np.empty(self.shape, np.float32)
+            weigh(log)
+            return estimate._replace(log_intensity=log)
+
+        return weighed
+
+    def _unweighed(
+        self, t_us: int, out: NDArray[np.float32] | None = None
+    ) -> tuple[Estimate, Callable[[NDArray[np.float32]], None]]:
+        """Return each pixel's estimate, and what weighs it by the degree that lasts."""
+        t = checked_time("t_us", t_us)
+        seen = t + self.lookahead_us
+        self._clock.check_read(seen)
+        log = output(out, self.shape, np.float32)
+        variance = np.empty(self.shape, np.float32)
+        valid = np.empty(self.shape, np.bool_)
+        one = self._at(t, seen)
+        one._show(t, seen, log, variance, valid)
+        self._saturated.fill(t, one._unknown, log, variance, valid, self.workers)
+        lasting = copy.copy(one._lasting)
+        return Estimate(log, variance, valid), lambda out: lasting.weigh(
+            log, variance, valid.view(np.uint8), self.workers, out)
+
+    def _at(self, t: int, seen: int) -> IncrementFilter:
+        """Return this filter, or a copy that has used what a later read may not use."""
+        if not self._next_passes(seen) and (self._committed == self._stop or int(
+                self._store["t"][self._committed]) > t):
+            return self
+        if self._scratch is None or self._scratch[:2] != (self._stop, seen):
+            one = copy.copy(self)
+            one._begin()
+            one._restore({**self._state(), "saturated": None})
+            one.workers = self.workers
+            one._settle(seen)
+            self._scratch = self._stop, seen, one
+        return self._scratch[2]
+
+    def _show(
+        self, t: int, seen: int, log: NDArray[np.float32],
+        variance: NDArray[np.float32], valid: NDArray[np.bool_],
+    ) -> None:
+        later = [frame for frame in self._frames[self._passed:]
+                 if self._usable_us(frame) <= seen]
+        for frame in later:
+            if frame.known_us is None:
+                self._look(frame, self._usable_us(frame))
+        if self._back is None or self._backs != len(later):
+            self._join(later)
+        anchor = self._frames[0] if self._passed else None
+        if not self._fresh:
+            self._list_all(next((frame.mid_us for frame in self._frames), t))
+        first = next(iter(later), None) if anchor is None else anchor
+        here = np.full(self.shape[1], t, np.int64)
+        nothing = np.zeros((2, self.shape[1]), np.int64)
+        frames = (
+            self._no_node if anchor is None else anchor.nodes,
+            nothing if anchor is None else anchor.exposure,
+            1 if anchor is None else anchor.samples, self._anchors,
+            later[0].nodes if later else None, self._back,
+            np.stack([here if anchor is None else anchor.middle,
+                      later[0].middle if later else here]),
+            self._nothing if first is None else first.around, self._lamp.waves)
+        looks = self._model.looks_around
+        n, before = self._listed, not self._fresh
+        self._bands(n, lambda first, last: _kernels.increments_move(
+            self._pixels, self._store, frames, (t, seen, self._epoch_us),
+            self._numbers, self._moving, self._moves, self._shown, self._planes,
+            self._around if looks else None, (first, last)))
+        kept = self._moving[:n][self._moves[:n] > 0]
+        self._listed = len(kept)
+        self._moving[:len(kept)] = kept
+        if before:
+            self._unknown = np.flatnonzero((self._shown["state"] & 3) == 0)
+            self._fresh = True
+        around = self._mean(self._around) if looks else None
+        self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_image(
+            self._planes, around, (t, self._epoch_us), self._lamp.waves,
+            self._model.black, VALID_VARIANCE, (log, variance, valid.view(np.uint8)),
+            (first, last)),
+            row_ns=2.0 * self.shape[1])
+
+    def _list_all(self, epoch_us: int) -> None:
+        """Let all pixels be shown anew, with planes that count from a time."""
+        self._epoch_us = epoch_us
+        self._listed = self._moving.size
+        self._moving[:] = self._all
+        self._pixels["flags"] = 3
+
+    def _bands(self, n: int, work: Callable[[int, int], object]) -> None:
+        """Let threads share the listed pixels."""
+        self.workers.rows(n, work, row_ns=100.0)
+
+    def _mean(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
+        out = np.empty(self.shape, np.float32)
+        self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_mean(
+            planes, out, (first, last)), row_ns=1.0 * self.shape[1])
+        return out
+
+    def _join(self, later: list[Waiting]) -> None:
+        """Carry the estimate from later frames back to the first of them."""
+        back = np.full((2, *self.shape), -1, np.float32)
+        all_ = [*self._frames[:self._passed], *later]
+        for old, new in itertools.pairwise(all_):
+            self._differ(old, new)
+        for i in range(len(later) - 1, -1, -1):
+            # The anchor's node changes as silences end; `show_one` looks at it.
+            before, old = later[max(i - 1, 0)], later[i]
+            new = later[min(i + 1, len(later) - 1)]
+            seconds = 1e-6 * (new.middle - old.middle).astype(np.float64)
+            begin = i == len(later) - 1
+            nodes = before.nodes, old.nodes, new.nodes
+            self.workers.rows(self.shape[0], partial(
+                self._carry, nodes, seconds, back, begin))
+        self._back, self._backs, self._fresh = back, len(later), False
+
+    def _carry(
+        self, nodes: tuple[Records, Records, Records], seconds: NDArray[np.float64],
+        back: NDArray[np.float32], begin: bool, first: int, last: int,
+    ) -> None:
+        _kernels.increments_back(
+            *nodes, seconds, self._numbers, self._anchors, back, begin, (first, last))
+
+    # ---- states ------------------------------------------------------------------
+
+    def assign(self, other: Reconstructor) -> None:
+        """Take over the state of an equal filter (see `Reconstructor.assign`)."""
+        if not isinstance(other, IncrementFilter) or other.shape != self.shape:
+            raise ValueError(f"other must be an equal IncrementFilter, got {other!r}")
+        self._restore(other._state())
+
+    def _state(self) -> State:
+        return {"last_us": self._clock.last_us, "first_us": self._first_us,
+                "model": self._given, "theta": self._theta,
+                "ratio_sigma": self._ratio_sigma,
+                "store": as_bytes(self._store[:self._stop]).copy(),
+                "committed": self._committed,
+                "pixels": as_bytes(self._pixels).copy(),
+                "anchors": as_bytes(self._anchors).copy(),
+                "lamp": self._lamp.state(),
+                "frames": [frame.copy() for frame in self._frames],
+                "passed": self._passed, "lasting": self._lasting.state(),
+                "saturated": self._saturated.state()}
+
+    def _restore(self, state: State) -> None:
+        self._clock.last_us, self._first_us = state["last_us"], state["first_us"]
+        self._given, self._theta = state["model"], state["theta"]
+        self._ratio_sigma = state["ratio_sigma"]
+        self._numbers = self._model.numbers
+        n = state["store"].size // EVENT_DTYPE.itemsize
+        if n > len(self._store):
+            self._store = np.empty(2 * n, EVENT_DTYPE)
+        as_bytes(self._store)[:state["store"].size] = state["store"]
+        self._stop, self._committed = n, state["committed"]
+        as_bytes(self._pixels)[:] = state["pixels"]
+        as_bytes(self._anchors)[:] = state["anchors"]
+        self._frames = tuple(frame.copy() for frame in state["frames"])
+        self._passed = state["passed"]
+        self._lamp.restore(state["lamp"])
+        self._lasting.restore(state["lasting"])
+        if state["saturated"] is not None:
+            self._saturated.restore(state["saturated"])
+        self._changed()

@@ -1,0 +1,124 @@
+"""Learning of a camera from its own frames and events."""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pdavis_cv import _kernels
+from pdavis_cv.pixel.learn import Priors, learn
+from pdavis_cv.pixel.model import PixelModel
+from pdavis_cv.pixel.sample import PAST_DTYPE, PixelSample
+from pdavis_cv.simulation import Camera, RotatingPolarizer
+
+SIZE = (8, 8)
+TOLD = Priors(theta=(0.2, 0.2))
+
+
+def sampled(camera, rpm, dolp, seconds=2.0, frames=None):
+    """Return a sample of a recording of a rotating polarizer."""
+    recording, _ = camera.record(RotatingPolarizer(rpm=rpm, dolp=dolp), seconds)
+    sample = PixelSample(SIZE)
+    taken = 0
+    for packet in recording.packets():
+        if len(packet.events):
+            sample.add_events(packet.events)
+        for frame in packet.frames:
+            if frames is None or taken < frames:
+                sample.add_frame(frame)
+                taken += 1
+    return sample
+
+
+def of(seed, **dvs):
+    """Return a camera whose frames are stamped 3 ms late."""
+    return Camera.preset(
+        "nominal", seed=seed, size=SIZE, faults={"frame_offset_us": 3000},
+        dvs={"theta_on": 0.23, "theta_off": 0.27, "cutoff_hz": 180.0, **dvs})
+
+
+@pytest.mark.parametrize(("rpm", "dolp"), [(200, 0.5), (500, 1.0), (1000, 0.3)])
+def test_thresholds_and_clock_are_within_three_of_their_sigmas(rpm, dolp):
+    camera = of(1300)
+    found = learn(sampled(camera, rpm, dolp), TOLD, 50_000)
+    for i, name in enumerate(("off", "on")):
+        true = float(camera.maps[f"theta_{name}"].mean())
+        step = found.model.theta[i] if not found.model.by_class.any() else None
+        assert found.sigmas[name] < 0.3
+        if step is not None:
+            assert abs(math.log(step / true)) < 3 * found.sigmas[name]
+    assert abs(found.clock_offset_us + 3000) < 3 * found.sigmas["shift"]
+    assert found.sigmas["shift"] < 1000
+    assert found.model.black == 0
+
+
+def test_a_black_level_is_found_where_there_is_one():
+    camera = Camera.preset(
+        "nominal", seed=1301, size=SIZE, aps={"black_level_dn": 30.0})
+    sample = sampled(camera, 200, 1.0)
+    assert learn(sample, TOLD, 0).model.black == pytest.approx(30 / 20, rel=0.25)
+
+
+@pytest.mark.parametrize("frames", [0, 1])
+def test_without_two_frames_nothing_moves(frames):
+    found = learn(sampled(of(1302), 200, 0.5, 0.5, frames), TOLD, 0)
+    np.testing.assert_array_equal(found.model.theta, TOLD.theta)
+    assert found.clock_offset_us == 0
+    assert found.model.black == 0
+
+
+def test_still_light_moves_nothing():
+    found = learn(sampled(of(1303), 0.01, 0.3), TOLD, 50_000)
+    assert np.abs(np.log(found.model.theta / 0.2)).max() < 0.25
+    assert found.model.black == 0
+    assert found.clock_offset_us == 0
+
+
+def test_learning_is_deterministic():
+    one, other = (learn(sampled(of(1304), 200, 0.5, 1.0), TOLD, 50_000)
+                  for _ in range(2))
+    assert one.model.same(other.model)
+    assert one.clock_offset_us == other.clock_offset_us
+
+
+def twin(t, sign, at):
+    """Return M-, M+ at a time between events that are all known: (2a, b)."""
+    k = int(np.searchsorted(t, at, "right")) - 1
+    out = np.zeros(2)
+    if k < 0:
+        return out
+    for s in sign[:k + 1]:
+        out[int(s > 0)] += s
+    if k + 1 == len(t):
+        return out
+    gap = t[k + 1] - t[k]
+    s, moves = (at - t[k]) / gap, 1 / (1 + (gap * 1e-6) ** 4)
+    out[int(sign[k + 1] > 0)] += sign[k + 1] * s * moves
+    if sign[k] != sign[k + 1]:
+        q = 0.268
+        if k > 0 and sign[k - 1] == sign[k]:
+            q = min(max((t[k] - t[k - 1]) / gap, 3 - 2 * 2**0.5), 1.0)
+        out[int(sign[k] > 0)] += sign[k] * s * (1 - s) / q * moves
+    return out
+
+
+def test_counts_between_known_events_equal_their_twin():
+    rng = np.random.default_rng(5)
+    t = np.sort(rng.choice(1_000_000, 60, replace=False)).astype(np.int64)
+    sign = rng.choice([-1, 1], 60).astype(np.int8)
+    model = PixelModel(theta=np.array([0.2, 0.2]), rest_s=1.0)
+    past = np.zeros(60, PAST_DTYPE)
+    past["t"], past["sign"] = t, sign
+    start = np.array([0, 60], np.int64)
+    _kernels.learning_past(past, start, np.zeros(1, np.int64), model.numbers)
+    at = rng.integers(t[0] - 1000, t[-1], 200)
+    out = np.empty((200, 13))
+    span = np.stack([at, at, np.full(200, 1 << 40)]).astype(np.int64)
+    _kernels.learning_means(
+        past, start, np.zeros(200, np.int32), span, 0, np.zeros(200), 1,
+        model.numbers, np.ones((2, 200)), out)
+    np.testing.assert_allclose(
+        out[:, :2], [twin(t, sign, each) for each in at], atol=2e-5)
+    np.testing.assert_allclose(out[:, 12], 0.2 * out[:, :2].sum(1), atol=1e-5)
+    np.testing.assert_allclose(out[-1, 2:12].sum(), sign[t <= at[-1]].sum(), atol=1e-4)
