@@ -37,7 +37,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         lost = write(out, passing(
             recording, lambda packets: progress_in_time(packets, *ends)), **options)
         problems = recording.problems
-        # The output states as known what was assumed to read the input.
         assumed = assumptions(recording.info.facts)
     tell(args, [
         f"wrote {out}", *assumed,

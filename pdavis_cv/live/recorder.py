@@ -67,7 +67,8 @@ class Recorder:
     ) -> None:
         self._writer = Aedat4Writer(
             path, sensor_size=info.sensor_size, layout=info.layout,
-            camera=info.camera or UNKNOWN, full_scale_dn=full_scale_of(info))
+            camera=info.camera or UNKNOWN, full_scale_dn=full_scale_of(info),
+            source=info)
         self.path = self._writer.path
         self._lossy, self._log = lossy, log
         self._waiting: deque[Packet] = deque()

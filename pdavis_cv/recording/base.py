@@ -388,7 +388,7 @@ class RecordingInfo:
         """Return the info with what a caller states in place of what is known here."""
         known = {name: fact for name, fact in self.facts.items()
                  if name != "extinction_ratio"}
-        return dataclasses.replace(self, **stated(options, **known))
+        return dataclasses.replace(self, **stated(options, None, **known))
 
     def __reduce__(self) -> tuple[Any, ...]:
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}

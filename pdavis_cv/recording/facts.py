@@ -1,15 +1,16 @@
 """Facts about a recording: each a value, and where it comes from."""
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from pdavis_cv.recording.options import SourceOptions
-from pdavis_cv.sensor import Layout, Sensor, resolve_layout
+from pdavis_cv.sensor import SENSORS, Layout, Sensor, resolve_layout
 
 __all__ = ["ASSUMED", "CALIBRATION", "CALLER", "FILE", "MEASURED", "Fact",
-           "assumptions", "sensor_of", "stated"]
+           "assumptions", "sensor_of", "stated", "text_of"]
 
 FILE, CALLER, CALIBRATION = "file", "caller", "calibration"
 MEASURED, ASSUMED = "measured", "assumed"
@@ -45,7 +46,65 @@ def assumptions(facts: Mapping[str, Fact]) -> list[str]:
             if name in facts and facts[name].origin == ASSUMED]
 
 
-def stated(options: SourceOptions, **found: Any) -> dict[str, Any]:
+def text_of(
+    facts: Mapping[str, Fact], demosaic: str | None, biases: Mapping[str, float]
+) -> str:
+    """Return what is known of a recording as text for the header of a copy.
+
+    Parameters
+    ----------
+    facts, demosaic, biases
+        See `RecordingInfo`.
+    """
+    values = {name: fact.value for name, fact in facts.items() if fact.value}
+    values.pop("extinction_ratio", None)    # that of the sensor
+    if isinstance(rate := values.pop("frame_times", None), int | float):
+        values["source_fps"] = rate
+    if (layout := values.get("layout")) is not None:
+        values["layout"] = layout.stored_angles, layout.owner
+    if (sensor := values.pop("sensor", None)) in SENSORS.values():
+        values["sensor"] = sensor.name
+    return json.dumps({
+        "facts": values, "demosaic": demosaic, "biases": dict(biases), "origins": {
+            name: fact.origin for name, fact in facts.items()
+            if fact.origin in _UNCERTAIN}})
+
+
+_UNCERTAIN = (MEASURED, ASSUMED)
+"""Origins that a copy keeps; what a caller stated, the copy states."""
+
+
+def _of_copy(text: str, found: Mapping[str, Fact]) -> dict[str, Fact]:
+    """Return what is known of a copy: what was found in it, and what `text_of` says.
+
+    A text that is damaged says nothing.
+    """
+    try:
+        stored = json.loads(text)
+        values, origins = stored["facts"], dict(stored["origins"])
+        if "layout" in values:
+            values["layout"] = Layout.stored(*values["layout"])
+        checked = SourceOptions(**values)
+        biases = {name: float(value) for name, value in stored["biases"].items()}
+    except (AttributeError, KeyError, RecursionError, TypeError, ValueError):
+        return dict(found)
+    said = {name: getattr(checked, name) for name in (
+        "sensor_size", "sensor", "layout", "exposure_us", "full_scale_dn")}
+    said |= {"frame_times": checked.source_fps, "biases": biases or None, "demosaic":
+             "superpixel" if stored.get("demosaic") == "superpixel" else None}
+    # A chip may be only what the copy's format had to name.
+    known = {name: fact for name, fact in found.items() if name != "sensor"}
+    for name, value in said.items():
+        # Numbers that the format holds otherwise are right; all its times are stamps.
+        if value is not None and (name == "frame_times" or name not in known or (
+                known[name].value == value)):
+            origin = origins.get(name)
+            known[name] = Fact(value, origin if origin in _UNCERTAIN else FILE)
+    return known
+
+
+def stated(options: SourceOptions, copied: str | None = None, **found: Any
+           ) -> dict[str, Any]:
     """Return the facts of a recording as arguments of `RecordingInfo`.
 
     What the caller states replaces what the file says, what was measured or assumed.
@@ -55,6 +114,8 @@ def stated(options: SourceOptions, **found: Any) -> dict[str, Any]:
     ----------
     options : SourceOptions
         What the caller states.
+    copied : str, optional
+        What a file of this library says of its source; see `text_of`.
     **found
         Facts by their name in `RecordingInfo`: a value that the file gives, or a
         `Fact` with another origin; None = not known.  ``frame_times`` is the frames'
@@ -72,10 +133,13 @@ def stated(options: SourceOptions, **found: Any) -> dict[str, Any]:
     """
     known = {name: value if isinstance(value, Fact) else Fact(value, FILE)
              for name, value in found.items() if value is not None}
+    size = _size(options, known.get("sensor_size"))
+    if copied is not None:
+        known = _of_copy(copied, known)
+    known |= size
     known |= {name: Fact(value, CALLER) for name, value in (
         ("frame_times", options.source_fps), ("exposure_us", options.exposure_us),
         ("full_scale_dn", options.known_full_scale_dn)) if value is not None}
-    known |= _size(options, known.get("sensor_size"))
     known |= _polarizers(options, known.get("sensor"), known.get("layout"))
     return {**{name: one.value for name, one in known.items()},
             "origins": {name: one.origin for name, one in known.items()}}

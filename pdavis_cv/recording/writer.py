@@ -12,9 +12,10 @@ from types import MappingProxyType
 from typing import Self
 
 from pdavis_cv._beside import Unfinished
-from pdavis_cv.recording.base import Packet
+from pdavis_cv.recording.base import Packet, RecordingInfo
+from pdavis_cv.recording.facts import text_of
 
-__all__ = ["RecordingWriter"]
+__all__ = ["RecordingWriter", "source_text"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -143,3 +144,8 @@ class RecordingWriter(ABC):
             self.close()
         else:
             self.discard()
+
+
+def source_text(info: RecordingInfo) -> str:
+    """Return what is known of a recording, as the header of a copy holds it."""
+    return text_of(info.facts, info.demosaic, info.biases)

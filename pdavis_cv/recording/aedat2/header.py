@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.file_reader import FileReader
 
-__all__ = ["CHIP_SIZES", "DVS128", "Header", "bias_currents", "read_header"]
+__all__ = ["CHIP_SIZES", "DVS128", "SOURCE", "Header", "bias_currents", "read_header"]
 
+SOURCE = "SourceFacts"
+"""Line of this library's writer that says what is known of the source."""
 MAX_HEADER = 4 << 20
 USUAL_HEADER = 1 << 16
 CHIP_SIZES = {"sbret": (180, 240), "dvs128": (128, 128), "tmpdiff128": (128, 128),

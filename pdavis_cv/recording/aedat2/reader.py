@@ -13,7 +13,12 @@ from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.aedat2.addresses import camera_of
 from pdavis_cv.recording.aedat2.decoder import Decoder, ImuScale, Mark
-from pdavis_cv.recording.aedat2.header import DVS128, bias_currents, read_header
+from pdavis_cv.recording.aedat2.header import (
+    DVS128,
+    SOURCE,
+    bias_currents,
+    read_header,
+)
 from pdavis_cv.recording.base import Packet, RecordingInfo
 from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, MEASURED, Fact, stated
 from pdavis_cv.recording.files import FileRecording
@@ -94,18 +99,18 @@ class Aedat2Recording(FileRecording):
         start = None if len(first) < 8 else header.origin_us + int.from_bytes(
             first[4:], "big", signed=True)
         clock = header.start_ms
-        if clock is None:
+        if clock is None and SOURCE not in header.facts:    # a copy is made later
             clock = header.creation_ms
         serial = _SERIAL.search(self.path.stem)
         return RecordingInfo(
             format="AEDAT-2.0", writer=_writer(header.facts),
             camera=header.chip, serial=serial[1] if serial else None, start_us=start,
             frame_count=None if self._has_frames() else 0, **stated(
-                options, sensor_size=self._size_fact,
+                options, header.facts.get(SOURCE), sensor_size=self._size_fact,
                 sensor=Sensor.of_chip(header.chip), frame_times="time stamps",
-                exposure_us=header.number("APS.Exposure"), full_scale_dn=1023),
+                exposure_us=header.number("APS.Exposure") or None, full_scale_dn=1023,
+                biases=bias_currents(header)),
             wall_clock_us=None if clock is None else clock * 1000 - (start or 0),
-            biases=bias_currents(header),
             header={"first_row": "bottom", "imu_axes": "jAER",
                     "shutter": {True: "global", False: "rolling",
                                 None: "unknown"}[header.global_shutter],

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._beside import clear
-from pdavis_cv.recording.aedat2.header import CHIP_SIZES
-from pdavis_cv.recording.base import ApsFrame, Packet, Recording
-from pdavis_cv.recording.writer import RecordingWriter
+from pdavis_cv.recording.aedat2.header import CHIP_SIZES, SOURCE
+from pdavis_cv.recording.base import ApsFrame, Packet, Recording, RecordingInfo
+from pdavis_cv.recording.writer import RecordingWriter, source_text
 
 __all__ = ["Aedat2Writer", "write_aedat2"]
 
@@ -48,6 +48,8 @@ class Aedat2Writer(RecordingWriter):
         Unix time in microseconds of time 0.
     preferences : mapping of str to str, optional
         Preferences for the header, e.g. ``{"APS.Exposure": "10000"}``.
+    source : RecordingInfo, optional
+        What is known of the source; the header keeps it, with its origin.
 
     Raises
     ------
@@ -59,6 +61,7 @@ class Aedat2Writer(RecordingWriter):
         self, path: str | os.PathLike[str], *, sensor_size: tuple[int, int],
         origin_us: int = 0, wall_clock_us: int | None = None,
         preferences: Mapping[str, str] | None = None,
+        source: RecordingInfo | None = None,
     ) -> None:
         if tuple(sensor_size) not in _CHIPS:
             raise ValueError(
@@ -67,6 +70,7 @@ class Aedat2Writer(RecordingWriter):
         super().__init__(path, sensor_size)
         self._origin, self._wall = int(origin_us), wall_clock_us
         self._preferences = dict(preferences or {})
+        self._source = source
         self._rolling: bool | None = None
         self._exposure_us: int | None = None
         self._started = False
@@ -205,10 +209,11 @@ class Aedat2Writer(RecordingWriter):
     def _header(self) -> bytes:
         chip = _CLASSES[_CHIPS[self.sensor_size]]
         now_ms = time.time_ns() // 1_000_000
-        start_ms = now_ms
+        start: list[str] = []
         if self._wall is not None and self._waiting:
             first = min(int(t.min()) for t, _ in self._waiting)
-            start_ms = (self._wall + first) // 1000
+            start = [f" DataStartTime: System.currentTimeMillis() "
+                     f"{(self._wall + first) // 1000}"]
         preferences = {
             "APS.GlobalShutter": "false" if self._rolling else "true",
             "APS.Exposure": str(self._exposure_us or 0),
@@ -221,13 +226,13 @@ class Aedat2Writer(RecordingWriter):
             "for each event", " Timestamps tick: 1 us", " Creator: pdavis_cv",
             f" Creation time: System.currentTimeMillis() {now_ms}",
             f" TimeOrigin: {self._origin} us",
+            *([] if self._source is None else [
+                f" {SOURCE}: {source_text(self._source)}"]),
             f" AEChip: eu.seebetter.ini.chips.davis.{chip}",
             "Start of Preferences for this AEChip (search for name)"]
         lines += [f'<entry key="{chip}.{key}" value="{_attribute(value)}"/>'
                   for key, value in sorted(preferences.items())]
-        lines += ["End of Preferences for this AEChip",
-                  f" DataStartTime: System.currentTimeMillis() {start_ms}",
-                  "End Of ASCII Header"]
+        lines += ["End of Preferences for this AEChip", *start, "End Of ASCII Header"]
         return "".join(f"#{line}\r\n" for line in lines).encode("latin-1", "replace")
 
 
@@ -265,7 +270,7 @@ def aedat2_writer(path: str | os.PathLike[str], recording: Recording) -> Aedat2W
         path, sensor_size=info.sensor_size, origin_us=origin,
         wall_clock_us=info.wall_clock_us,
         preferences={**_bias_preferences(info.biases),
-                     **info.header.get("preferences", {})})
+                     **info.header.get("preferences", {})}, source=info)
 
 
 def _bias_preferences(biases: Mapping[str, float]) -> dict[str, str]:

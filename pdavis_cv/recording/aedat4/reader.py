@@ -135,7 +135,9 @@ class Aedat4Recording(FileRecording):
         return RecordingInfo(
             format="AEDAT-4", writer=writer, camera=source or None,
             serial=serial or None, **stated(
-                options, sensor_size=self._size, layout=self._layout(),
+                options, next((text for one in streams.values() if (
+                    text := one.attributes.get("sourceFacts")) is not None), None),
+                sensor_size=self._size, layout=self._layout(),
                 sensor=Sensor.of_chip(source),
                 full_scale_dn=self._scale and self._scale.full_scale_dn,
                 frame_times="time stamps" if "FRME" in streams else None),

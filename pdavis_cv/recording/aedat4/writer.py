@@ -18,7 +18,7 @@ from pdavis_cv._beside import clear
 from pdavis_cv.recording.aedat4.container import COMPRESSIONS, MAGIC
 from pdavis_cv.recording.aedat4.samples import EIGHT_BIT_DN, TEN_BIT_DN
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, RecordingInfo
-from pdavis_cv.recording.writer import RecordingWriter
+from pdavis_cv.recording.writer import RecordingWriter, source_text
 from pdavis_cv.sensor import Layout
 
 __all__ = ["ANGLES", "ANGLE_STEPS", "EVENTS", "FRAMES", "IMU", "TRIGGERS",
@@ -77,6 +77,8 @@ class Aedat4Writer(RecordingWriter):
         8-bit file, else 16.
     full_scale_dn : int
         Largest DN of 16-bit frames, written to the header.
+    source : RecordingInfo, optional
+        What is known of the source; the header keeps it, with its origin.
 
     Attributes
     ----------
@@ -99,7 +101,7 @@ class Aedat4Writer(RecordingWriter):
         self, path: str | os.PathLike[str], *, sensor_size: tuple[int, int],
         layout: Layout | None = None, camera: str = UNKNOWN,
         compression: str = "lz4", frame_bits: int | None = None,
-        full_scale_dn: int = TEN_BIT_DN,
+        full_scale_dn: int = TEN_BIT_DN, source: RecordingInfo | None = None,
     ) -> None:
         if compression not in ("lz4", "none", "zstd"):
             raise ValueError(
@@ -116,7 +118,7 @@ class Aedat4Writer(RecordingWriter):
         self._index = array("q")    # of each packet: offset, stream, size, ...
         self._file.write(MAGIC + _header(
             self._numbers, self.sensor_size, layout, camera, compression,
-            full_scale_dn))
+            full_scale_dn, source))
         self._position_at = len(MAGIC) + 32
 
     def _write(self, packet: Packet) -> None:
@@ -190,7 +192,7 @@ class StreamEncoder:
         self._stream = stream
         self.head = _header(
             [stream], info.sensor_size, info.layout,
-            info.camera or UNKNOWN, compression, full_scale_of(info))
+            info.camera or UNKNOWN, compression, full_scale_of(info), info)
 
     def encoded(self, packet: Packet) -> Iterator[bytes]:
         """Yield what a packet holds of this stream, each as its bytes on the wire.
@@ -240,7 +242,8 @@ def write_aedat4(
     with Aedat4Writer(
             path, sensor_size=info.sensor_size, layout=info.layout,
             camera=info.camera or UNKNOWN, compression=compression,
-            frame_bits=frame_bits, full_scale_dn=full_scale_of(info)) as writer:
+            frame_bits=frame_bits, full_scale_dn=full_scale_of(info),
+            source=info) as writer:
         for packet in recording.packets():
             writer.add(packet)
     return writer.losses
@@ -344,13 +347,14 @@ def _head(out: NDArray[Any], identifier: bytes, count: int) -> None:
 
 def _header(
     streams: Iterable[int], size: tuple[int, int], layout: Layout | None, camera: str,
-    compression: str, full_scale_dn: int,
+    compression: str, full_scale_dn: int, source: RecordingInfo | None,
 ) -> bytes:
     """Return the size-prefixed FlatBuffer IOHE of some streams."""
     code = COMPRESSIONS.index(
         compression.upper() if compression != "none" else "none")
     text = _info_node(
-        streams, size, layout, camera, COMPRESSIONS[code], full_scale_dn).encode()
+        streams, size, layout, camera, COMPRESSIONS[code], full_scale_dn, source
+    ).encode()
     # vtable at 12, table at 28: position at 32, compression at 40, text at 44.
     body = struct.pack("<I4s5H6xiqiII", 24, b"IOHE", 10, 20, 12, 4, 16,
                        16, -1, code, 4, len(text)) + text + b"\0"
@@ -359,7 +363,7 @@ def _header(
 
 def _info_node(
     streams: Iterable[int], size: tuple[int, int], layout: Layout | None, camera: str,
-    compression: str, full_scale_dn: int,
+    compression: str, full_scale_dn: int, source: RecordingInfo | None,
 ) -> str:
     def attribute(key: str, value: object, kind: str = "string") -> str:
         text = escape(str(value), quote=False)
@@ -388,6 +392,8 @@ def _info_node(
             lines.append(attribute("polarizerLayout", layout.stored_angles))
         if layout is not None and layout.owner is not None:
             lines.append(attribute("polarizerSensor", layout.owner))
+        if source is not None:
+            lines.append(attribute("sourceFacts", source_text(source)))
         lines += [attribute("source", camera), attribute("tsOffset", 0, "long"),
                   "</node>", "</node>"]
     return "\n".join([*lines, "</node>", "</dv>", ""])

@@ -30,6 +30,7 @@ from pdavis_cv.recording.base import (
 )
 from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, Fact, stated
 from pdavis_cv.recording.files import FileRecording
+from pdavis_cv.recording.hdf5.separate import SeparateImages
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
 from pdavis_cv.recording.prophesee import ordered_triggers
@@ -101,7 +102,7 @@ class Hdf5Recording(FileRecording):
                 self._frames = self._dataset(self._file, "frame", 3)
                 images = self._member(self._file, "images")
                 if self._frames is None and isinstance(images, h5py.Group):
-                    self._frames = _Images(images, self._dataset, self._member)
+                    self._frames = SeparateImages(images, self._dataset, self._member)
                 return self._make_info(options)
         except _LostError as error:
             raise RecordingError(f"{path}: the file is damaged: {error}") from error
@@ -329,12 +330,14 @@ class Hdf5Recording(FileRecording):
         layout = None if known is None else Layout.stored(
             ",".join(str(int(angle)) for angle in known), attributes.get("sensor"))
         camera = attributes.get("camera")
+        known = stated(
+            options, attributes.get("source_facts"), layout=layout,
+            sensor_size=Fact((height, width), origin), sensor=Sensor.of_chip(camera),
+            frame_times=None if self._frames is None else "time stamps")
+        self._full_scale = known.get("full_scale_dn")
         return RecordingInfo(
             format=self._format, writer=attributes.get("writer"), camera=camera,
-            **stated(
-                options, sensor_size=Fact((height, width), origin), layout=layout,
-                sensor=Sensor.of_chip(camera),
-                frame_times=None if self._frames is None else "time stamps"),
+            **known,
             start_us=self._start(), event_count=self._length,
             frame_count=0 if self._frames is None else len(self._frames),
             imu_count=len(self._table("imu", IMU_DTYPE)),
@@ -468,7 +471,7 @@ class Hdf5Recording(FileRecording):
             return []
         try:
             with _reading():
-                if isinstance(self._frames, _Images):
+                if isinstance(self._frames, SeparateImages):
                     raw = self._frames.times
                 else:
                     stamps = self._dataset(self._file, "frame_ts", 1)
@@ -510,7 +513,7 @@ class Hdf5Recording(FileRecording):
             with _reading():
                 image = self._frames[place.k]
                 eight = image.dtype == np.uint8
-                full = 1020 if eight else 1023
+                full = self._full_scale or (1020 if eight else 1023)
                 with np.errstate(over="ignore"):    # what is not finite is not valid
                     dn = image.astype(np.float32) * np.float32(4 if eight else 1)
                 valid = dn < full
@@ -535,40 +538,6 @@ class Hdf5Recording(FileRecording):
             "damage", key, f"{what} cannot be read ({error})",
             start_us=place.start if place else None,
             stop_us=place.ready if place else None, warning=DamagedFileWarning)
-
-
-class _Images:
-    """The images of rpg's layout, which are separate datasets, as one stack.
-
-    Parameters
-    ----------
-    group : h5py.Group
-        ``/images``; those without a numeric ``timestamp`` are left out.
-    dataset : callable
-        From (group, name, dimensions) to a checked dataset of numbers.
-    member : callable
-        From (group, name) to what lies in this file.
-    """
-
-    def __init__(self, group: Any, dataset: Callable[[Any, str, int], Any],
-                 member: Callable[[Any, str], Any]) -> None:
-        images = {name: member(group, name) for name in group}
-        found = sorted((float(image.attrs["timestamp"]), name) for name, image in
-                       images.items() if "timestamp" in image.attrs)
-        self._group, self._dataset = group, dataset
-        self._names = [name for _, name in found]
-        self.times = np.array([t for t, _ in found], np.float64)
-        first = dataset(group, self._names[0], 2).shape if found else (0, 0)
-        self.shape = (len(found), *first)
-
-    def __len__(self) -> int:
-        return len(self._names)
-
-    def __getitem__(self, k: int) -> NDArray[Any]:
-        image: NDArray[Any] = self._dataset(self._group, self._names[k], 2)[()]
-        if image.shape != self.shape[1:]:
-            raise ValueError(f"an image of shape {image.shape}")
-        return image
 
 
 class _Place(NamedTuple):

@@ -14,6 +14,7 @@ from pdavis_cv._beside import write_beside
 from pdavis_cv.recording.base import ApsFrame, Recording, RecordingInfo
 from pdavis_cv.recording.hdf5.reader import CHUNK
 from pdavis_cv.recording.hdf5.sink import written
+from pdavis_cv.recording.writer import source_text
 
 __all__ = ["write_dsec", "write_e2p", "write_hdf5"]
 
@@ -49,6 +50,7 @@ def write_hdf5(path: str | os.PathLike[str], recording: Recording, *,
     with write_beside(path) as part, written(part) as file:
         file.attrs["sensor_size"] = info.sensor_size
         file.attrs["writer"] = "pdavis_cv"
+        file.attrs["source_facts"] = source_text(info)
         if info.camera:
             file.attrs["camera"] = info.camera
         if info.layout is not None:
