@@ -4,6 +4,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Sequence
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -11,14 +12,16 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from pdavis_cv._types import Events, Image
 
-__all__ = ["MOST_ANGLE", "MOST_RPM", "MOST_SIDE", "checked_threshold", "output",
-           "outputs", "place", "plain", "positive", "real_number", "sensor_shape",
-           "whole_number"]
+__all__ = ["MOST_ANGLE", "MOST_FPS", "MOST_RPM", "MOST_SIDE", "checked_rate",
+           "checked_threshold", "output", "outputs", "place", "plain", "positive",
+           "real_number", "sensor_shape", "whole_number"]
 
 MOST_SIDE = 65_536
 """Largest side of a sensor, pixels: coordinates of events have 16 bits."""
 MOST_ANGLE = 1e6
 """Bound on angles, radians: rounding of a larger phase shifts threshold crossings."""
+MOST_FPS = 1_000_000
+"""Largest rate of images, per second: one per tick of the clock, a microsecond."""
 MOST_RPM = 3e7
 """Largest speed of what turns: half a turn per tick of the clock, a microsecond."""
 
@@ -152,6 +155,20 @@ def place(name: str, value: Any, most: float = MOST_SIDE) -> tuple[float, float]
 def plain(value: Any) -> Any:
     """Convert a NumPy number, which may overflow, to a Python number."""
     return value.item() if isinstance(value, np.generic) else value
+
+
+def checked_rate(name: str, value: Any) -> float | None:
+    """Return a rate in Hz, or None; raise ValueError unless it is of 0 .. MOST_FPS."""
+    if value is None:
+        return None
+    try:
+        exact = Fraction(value)
+    except (TypeError, ValueError, OverflowError):
+        exact = Fraction(0)
+    if not 0 < exact <= MOST_FPS:
+        raise ValueError(f"{name} must lie in (0, {MOST_FPS}], got {value!r}")
+    fps: float = plain(value)
+    return fps
 
 
 def whole_number(name: str, value: float, low: int, high: int) -> int:

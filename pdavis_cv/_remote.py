@@ -9,6 +9,8 @@ import os
 from pathlib import Path, PurePosixPath
 from typing import Any, cast
 
+from pdavis_cv.errors import RecordingError
+
 __all__ = ["RemotePath", "as_path", "is_remote"]
 
 _BLOCK = 1 << 20
@@ -28,10 +30,18 @@ def is_remote(path: object) -> bool:
 
 
 def as_path(path: str | os.PathLike[str]) -> Path:
-    """Return a Path, or for a URL a RemotePath, which readers accept as well."""
+    """Return a Path, or for a URL a RemotePath, which readers accept as well.
+
+    Raises
+    ------
+    RecordingError
+        If it holds a null character.
+    """
     if is_remote(path):
         return cast("Path", RemotePath(str(path)))
     text = os.fspath(path)
+    if isinstance(text, str) and "\0" in text:
+        raise RecordingError(f"{text!r}: a path cannot hold a null character")
     return Path(text.removeprefix("file://") if isinstance(text, str) else text)
 
 

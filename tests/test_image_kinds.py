@@ -360,6 +360,22 @@ def test_a_name_without_files_is_false_and_not_an_exception(tmp_path, name):
         open_recording(tmp_path / name)
 
 
+@pytest.mark.parametrize("name", ["a\0b.png", "a\0.aedat4", "a\0%04d.png"])
+@pytest.mark.parametrize("given", [{}, {"layout": SONY}])
+def test_a_null_character_is_refused_by_name(name, given):
+    with pytest.raises(RecordingError, match="cannot hold a null character"):
+        open_recording(name, **given)
+    with pytest.raises(RecordingError, match="cannot hold a null character"):
+        open_recording([name, name], **given)
+    assert not VideoCapture(name, **given).isOpened()
+
+
+def test_a_pattern_of_a_number_that_no_name_holds_is_refused_at_once():
+    capture = VideoCapture("%999999999d.png")   # FFmpeg takes 16 s
+    assert not capture.isOpened()
+    assert "no file has so long a number" in capture.last_error
+
+
 def test_natural_order_is_that_of_numbers():
     assert natural_order(["a10", "a9", "b1", "a1x2", "a1x10", "7"]) == [
         "7", "a1x2", "a1x10", "a9", "a10", "b1"]

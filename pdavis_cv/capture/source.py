@@ -71,8 +71,6 @@ def opened(source: Any, parameters: Parameters) -> Source:
     paths = source if isinstance(source, (list, tuple)) else [source]
     if not paths or not all(isinstance(path, (str, os.PathLike)) for path in paths):
         raise OSError(f"a recording is opened by its path, got {source!r}")
-    if any("\0" in os.fspath(path) for path in paths):
-        raise OSError(f"{source!r}: a path cannot hold a null character")
     return open_source(source, **source_part(parameters))
 
 

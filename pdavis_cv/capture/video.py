@@ -4,6 +4,7 @@ from __future__ import annotations
 import enum
 import io
 import os
+import re
 import threading
 from collections.abc import Sequence
 from typing import Any, NoReturn, Self, Unpack, overload
@@ -30,6 +31,7 @@ from pdavis_cv.recording.options import SourceOptions
 __all__ = ["CaptureStatus", "VideoCapture"]
 
 _CAP_ANY, _PROP_BACKEND = 0, 42
+_LONG_NUMBER = re.compile(r"%0*[1-9]\d{3,}[diu]")
 _VIEW = ("output", "gain", "gamma", "log", "open_timeout_ms", "read_timeout_ms")
 
 Openable = (str | os.PathLike[str] | int | Source
@@ -231,6 +233,9 @@ class VideoCapture:
                 'camera, its layout is needed, e.g. layout="sony"')
         if isinstance(source, bytes):
             return self._fail(function, "a path must be str, got bytes")
+        if isinstance(source, str) and _LONG_NUMBER.search(source):
+            # FFmpeg writes out the digits of each.
+            return self._fail(function, f"{source!r}: no file has so long a number")
         try:
             foreign = native_capture()()
         except ImportError as error:

@@ -15,7 +15,7 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv._checks import plain
+from pdavis_cv._checks import checked_rate, plain
 from pdavis_cv._options import Options, documented, option, takes
 from pdavis_cv._types import Parameters
 from pdavis_cv.calibration.model import Calibration
@@ -31,7 +31,6 @@ from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Layout
 __all__ = ["AllKeywords", "FusionKeywords", "FusionOptions", "check_times_fit",
            "fusion_part", "takes_options"]
 
-_MOST_FPS = 1_000_000
 _MOST_OFFSET_US = 1_000_000     # a larger offset means different cameras
 
 
@@ -167,8 +166,8 @@ class FusionOptions(Options):
         if self.method is not None:
             factory_of(self.method)
         put("times_us", _checked_times(self))
-        _check_rate(self.fps)
-        for name in ("fps", "start_us", "stop_us"):
+        put("fps", checked_rate("fps", self.fps))
+        for name in ("start_us", "stop_us"):
             put(name, plain(getattr(self, name)))
         if self.layout is not None:
             put("layout", Layout.of(self.layout))
@@ -286,17 +285,6 @@ def check_times_fit(options: FusionOptions, info: RecordingInfo) -> None:
             raise ValueError(
                 f"{name} must be microseconds of the recording's clock, which runs "
                 f"from {info.start_us} to {info.stop_us}, got {first}")
-
-
-def _check_rate(fps: Any) -> None:
-    if fps is None:
-        return
-    try:
-        rate = Fraction(fps)
-    except (TypeError, ValueError, OverflowError):
-        rate = Fraction(0)
-    if not 0 < rate <= _MOST_FPS:
-        raise ValueError(f"fps must lie in (0, {_MOST_FPS}], got {fps!r}")
 
 
 def _check_extinction_ratio(value: Any) -> None:

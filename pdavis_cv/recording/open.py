@@ -74,7 +74,7 @@ def open_recording(
     # A path that does not exist may be a pattern of image names.
     try:
         start = first_bytes(path) if is_remote(path) or path.exists() else b""
-    except (OSError, ValueError) as error:  # a name too long, or with a null character
+    except (OSError, ValueError) as error:  # a name too long
         raise RecordingError(f"{path}: cannot be opened: {error}") from None
     found = format_of(path, start)
     if found is None and _is_text(start):

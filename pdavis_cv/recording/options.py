@@ -8,16 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Any, TypedDict
 
-from pdavis_cv._checks import plain, sensor_shape, whole_number
+from pdavis_cv._checks import checked_rate, sensor_shape, whole_number
 from pdavis_cv._options import Options, documented, option
 from pdavis_cv.sensor import SENSORS, Layout, Sensor
 
 __all__ = ["MOST_DN", "SourceKeywords", "SourceOptions", "source_part"]
 
-MOST_FPS = 1_000_000
 MOST_DN = 2**32
 """Largest full scale that is accepted; converters have 8 to 16 bits."""
 _MOST_US = 10**9
@@ -110,7 +108,7 @@ class SourceOptions(Options):
             value = getattr(self, name)
             if not isinstance(value, str | None):
                 raise TypeError(f"{name} must be a str, got {type(value).__name__}")
-        self._put("source_fps", _checked_rate(self.source_fps))
+        self._put("source_fps", checked_rate("source_fps", self.source_fps))
         for name, most in (("exposure_us", _MOST_US), ("bits", 32),
                            ("full_scale_dn", MOST_DN)):
             value = getattr(self, name)
@@ -168,19 +166,6 @@ def source_part(parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return those parameters that are fields of SourceOptions."""
     return {name: parameters[name] for name in SourceOptions.facts()
             if name in parameters}
-
-
-def _checked_rate(value: Any) -> float | None:
-    if value is None:
-        return None
-    try:
-        rate = Fraction(value)
-    except (TypeError, ValueError, OverflowError):
-        rate = Fraction(0)
-    if not 0 < rate <= MOST_FPS:
-        raise ValueError(f"source_fps must lie in (0, {MOST_FPS}], got {value!r}")
-    fps: float = plain(value)
-    return fps
 
 
 SourceOptions.__doc__ = documented(SourceOptions.__doc__, SourceOptions)
