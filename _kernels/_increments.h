@@ -25,7 +25,6 @@
 /* Constants of the filter: times, gates, hot pixels (docs/theory/increments.md). */
 #define PD_NEVER ((int64_t)1 << 62)
 #define PD_GATE 16.0            /* squared sigmas beyond which a frame starts anew */
-#define PD_LEAST_LIGHT 0.005    /* share of the black level; numerical */
 #define PD_CLAIM 0.5            /* as CLAIM_SHARE ... HOT_SAMPLES of _hot.pxd */
 #define PD_SHOWN 0.25
 #define PD_PRIOR_ODDS 6.91
@@ -194,14 +193,14 @@ PDAVIS_INLINE double open_variance(const around_t *a, const camera_t *c)
 }
 
 /* A row of an image: planes (level at the epoch, its slope, variance, its slope and
-   curvature per s), what other pixels say and the lamp's ripple, to ln light, its
-   variance and validity. */
+   curvature per s), what other pixels say and the lamp's ripple, to ln light,
+   its variance and validity. */
 PDAVIS_CLONES PDAVIS_UNUSED static void show_row(
     const float *restrict level, const float *restrict slope,
     const float *restrict variance, const float *restrict grows,
     const float *restrict bends, const float *restrict around, float since,
-    float ripple, float black, float least, float most, ptrdiff_t n,
-    float *restrict log, float *restrict out, uint8_t *restrict valid)
+    float ripple, float most, ptrdiff_t n, float *restrict log, float *restrict out,
+    uint8_t *restrict valid)
 {
     ptrdiff_t i;
     for (i = 0; i < n; i++) {
@@ -214,14 +213,6 @@ PDAVIS_CLONES PDAVIS_UNUSED static void show_row(
     if (ripple != 0.0f)
         for (i = 0; i < n; i++)
             log[i] += ripple;
-    if (black > 0.0f)
-        for (i = 0; i < n; i++) {
-            float all = pd_exp(log[i]), light = all - black;
-            light = light > least ? light : least;
-            log[i] = pd_log(light);
-            all /= light;
-            out[i] *= all * all;
-        }
     for (i = 0; i < n; i++)
         valid[i] = out[i] <= most;
 }

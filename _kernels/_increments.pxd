@@ -8,7 +8,6 @@ cdef extern from "_increments.h" nogil:
     const double PER_TURN "PER_TURN_2"
     const int64_t NEVER "PD_NEVER"
     const double GATE "PD_GATE"
-    const double LEAST_LIGHT "PD_LEAST_LIGHT"
     const double CLAIM "PD_CLAIM"
     const double SHOWN "PD_SHOWN"
     const double PRIOR_ODDS "PD_PRIOR_ODDS"
@@ -38,7 +37,7 @@ cdef extern from "_increments.h" nogil:
     double drift_of(const around_t* a, const camera_t* c, double* rate)
     void show_row(const float* level, const float* slope, const float* variance,
                   const float* grows, const float* bends, const float* around,
-                  float since, float ripple, float black, float least, float most,
+                  float since, float ripple, float most,
                   Py_ssize_t n, float* log, float* out, uint8_t* valid)
     void mean_row(const float* own, const float* cell, const float* other,
                   const float* near, const float* up, const float* down, Py_ssize_t n,
@@ -209,12 +208,3 @@ cdef inline void look(const pixel_t* p, const stored_t* store, int64_t t, int64_
         out.around.gap = 1e-6 * <double>max(after.t - out.last, 1)
         out.around.next_sign = after.sign
         out.around.next_weight = weight(after, c)
-
-
-cdef inline double light_of(double log, const camera_t* c) noexcept nogil:
-    """Return ln I of ln(I + black)."""
-    cdef double light
-    if c.black <= 0.0:
-        return log
-    light = exp_f(<float>log) - c.black
-    return log_f(<float>max(light, LEAST_LIGHT * c.black))

@@ -4,7 +4,7 @@ from libc.stdint cimport int64_t
 
 from _kernels._increments cimport (
     CLAIM, GATE, HOT_MEMORY, LEARN_EVENTS, LESS, MORE, MOST_SAMPLES, PRIOR_ODDS,
-    SHOWN, anchor_t, camera_of, camera_t, light_of, mean_row, node_t, pixel_t,
+    SHOWN, anchor_t, camera_of, camera_t, mean_row, node_t, pixel_t,
     stored_t)
 from _kernels._increments_frames cimport around_of, lags_of, lags_t, node_of
 from _kernels._lamp cimport lamp_of, lamp_t
@@ -71,8 +71,8 @@ def increments_pass(const node_t[:, ::1] old not None,
                     bands not None):
     """Let the filter pass a frame: predict from node old to node new, and update.  (12)
 
-    seconds is the time between them by column.  middles receives ln light in the mean
-    over the exposure, NaN without a sample.
+    seconds is the time between them by column.  middles receives ln(I + black) in the
+    mean over the exposure, NaN without a sample.
     """
     cdef Py_ssize_t y, x, first, last
     cdef const camera_t* c = camera_of(camera)
@@ -103,7 +103,7 @@ cdef inline float pass_one(const node_t* old, const node_t* new, double seconds,
             a.p[1] = a.p[2] = a.p[4] = 0.0
             a.p[3] = a.p[5] = c.spread2
             a.sampled = 1.0
-            return <float>light_of(a.log, c)
+            return a.log
         return NAN
     step = between(old, new, seconds, c)
     if new.variance > 0.0:
@@ -152,7 +152,7 @@ cdef inline float pass_one(const node_t* old, const node_t* new, double seconds,
     a.p[1] += k0 * k1 / s - k0 * a.p[1] - k1 * p0
     a.p[2] += k0 * k2 / s - k0 * a.p[2] - k2 * p0
     a.p[0] = k0 * r
-    return <float>light_of(a.log, c)
+    return a.log
 
 
 def increments_back(const node_t[:, ::1] before not None,

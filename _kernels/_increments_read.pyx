@@ -3,7 +3,7 @@ from libc.math cimport fabs
 from libc.stdint cimport int32_t, int64_t, uint8_t
 
 from _kernels._increments cimport (
-    AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEAST_LIGHT, LEVEL,
+    AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEVEL,
     LISTED, MOST_SAMPLES, NEVER, PER_TURN, PRIOR_ODDS, SLOPE, SMOOTH_FROM, UNKNOWN,
     VARIANCE, anchor_t, around_t, camera_of, camera_t, drift_of, goes_on, lead_of,
     node_t, open_variance, part_of, pixel_t, show_row, shown_t, stored_t, weight)
@@ -330,8 +330,8 @@ cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
 
 
 def increments_image(const float[:, :, ::1] planes not None, const float[:, ::1] around,
-                     times not None, const wave_t[::1] waves not None, double black,
-                     double most, out not None, bands not None):
+                     times not None, const wave_t[::1] waves not None, double most,
+                     out not None, bands not None):
     """Write ln light, its variance and validity, with the lamp's ripple.
 
     times is (t, epoch of the planes).
@@ -358,6 +358,5 @@ def increments_image(const float[:, :, ::1] planes not None, const float[:, ::1]
                      &planes[VARIANCE, y, 0],
                      &planes[GROWS, y, 0], &planes[BENDS, y, 0],
                      &around[y, 0] if around is not None else NULL, <float>seconds,
-                     <float>lit, <float>black, <float>(LEAST_LIGHT * black),
-                     <float>most, log.shape[1], &log[y, 0], &variance[y, 0],
+                     <float>lit, <float>most, log.shape[1], &log[y, 0], &variance[y, 0],
                      &valid[y, 0])

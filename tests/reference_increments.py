@@ -349,10 +349,6 @@ class Filter:
                 if then is not None:
                     now[(slice(None), *at)] -= then[(slice(None), *at)]
         log, variance = out[0] + mean_around(now), out[1]
-        if self.m.black:
-            light = np.maximum(np.exp(log) - self.m.black, 0.005 * self.m.black)
-            variance = variance * (np.exp(log) / light) ** 2
-            log = np.log(light)
         return log, variance
 
     def mid(self, frame, at):

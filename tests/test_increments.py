@@ -260,7 +260,7 @@ def test_events_of_a_hot_pixel_are_ignored(mode):
     one = make(model=WHOLE, mode=mode)
     feed(one, events, frames)
     got = read(one, 2_000_000 - max(one.lookahead_us, 1)).log_intensity
-    assert got == pytest.approx(3.0, abs=0.05)
+    assert WHOLE.in_frames(got) == pytest.approx(3.0, abs=0.05)
 
 
 def test_saturated_samples_are_not_believed():

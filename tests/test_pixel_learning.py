@@ -122,3 +122,11 @@ def test_counts_between_known_events_equal_their_twin():
         out[:, :2], [twin(t, sign, each) for each in at], atol=2e-5)
     np.testing.assert_allclose(out[:, 12], 0.2 * out[:, :2].sum(1), atol=1e-5)
     np.testing.assert_allclose(out[-1, 2:12].sum(), sign[t <= at[-1]].sum(), atol=1e-4)
+
+
+def test_a_black_level_is_missing_in_frames_not_in_light():
+    model = PixelModel(theta=np.array([0.2, 0.2]), black=4.0)
+    log = np.log(np.array([[4.001, 5.0, 12.0]], np.float32))
+    np.testing.assert_allclose(
+        np.exp(model.in_frames(log)), [[0.02, 1.0, 8.0]], rtol=1e-5)
+    assert model.replace(black=0.0).in_frames(log) is log

@@ -16,6 +16,7 @@ from pdavis_cv.batch.jobs import Work
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.export.stacks import StackFile
 from pdavis_cv.fusion.options import FusionOptions
+from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.quantities import chosen
 from pdavis_cv.reconstruct.methods import default_method
 from pdavis_cv.recording.base import Recording
@@ -249,7 +250,11 @@ def predicted_images(
     clock_us = Fusion(recording, **{**options, "causal": False}).clock_offset_us
     times_us = left_out.sample_times_us.ravel() + clock_us
     for image in pdavis_cv.fuse(recording, times_us=times_us, **options):
-        yield image, estimates[0]
+        model, estimate = image.provenance["parameters"].get("model"), estimates[0]
+        if isinstance(model, PixelModel):   # what frames show of the light
+            estimate = estimate._replace(
+                log_intensity=model.in_frames(estimate.log_intensity))
+        yield image, estimate
 
 
 @dataclass(frozen=True, kw_only=True)

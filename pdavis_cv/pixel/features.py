@@ -124,7 +124,7 @@ def _with(model: PixelModel, weights: Floats) -> PixelModel:
     lags = rest[:6 * len(LAGS_S)].reshape(len(LAGS_S), 3, 2)
     last = rest[6 * len(LAGS_S):]
     return model.replace(
-        theta=np.maximum(theta, 0.1 * model.theta),
+        thresholds=model.theta, theta=np.maximum(theta, 0.1 * model.theta),
         by_class=model.by_class + classes.reshape(2, GAP_CLASSES),
         own=lags[:, 0], cell=lags[:, 1], near=lags[:, 2], cell_now=last[:2],
         near_now=last[2:])

@@ -18,6 +18,9 @@ LAGS_S = (-0.04, -0.01, -0.002, 0.0045, 0.018, 0.0)
 
 _LAGS = len(LAGS_S)
 
+_LEAST = 0.005
+"""Least light that frames show, in black levels; numerical."""
+
 
 def _zeros(*shape: int) -> NDArray[np.float64]:
     return np.zeros(shape)
@@ -40,13 +43,15 @@ class PixelModel:
     Parameters
     ----------
     theta : ndarray of float64, shape (2,)
-        Contrast thresholds, positive.
+        Change of light by an event, positive; `by_class` may add to it.
+    thresholds : ndarray of float64, shape (2,), optional
+        Contrast thresholds; default `theta`.
     theta_cov : ndarray of float64, shape (2, 2)
         Their covariance.
     spread : float
         Standard deviation of the pixels' relative deviations from them (gains).
     black : float
-        Light that frames lack, DN/ms: ln(I + black) is what events follow.
+        Light that frames lack, DN/ms: events follow, and images show, I + black.
     bandwidth : (float, float)
         Corner frequency of the photoreceptor, Hz, and its increase by light, Hz per
         DN/ms; zeros: no lag.
@@ -68,6 +73,7 @@ class PixelModel:
     """
 
     theta: NDArray[np.float64]
+    thresholds: NDArray[np.float64] = field(default_factory=_NOW)
     theta_cov: NDArray[np.float64] = field(default_factory=partial(_zeros, 2, 2))
     spread: float = 0.05
     black: float = 0.0
@@ -86,6 +92,25 @@ class PixelModel:
     near: NDArray[np.float64] = field(default_factory=_BY_LAG)
     cell_now: NDArray[np.float64] = field(default_factory=_NOW)
     near_now: NDArray[np.float64] = field(default_factory=_NOW)
+
+    def __post_init__(self) -> None:
+        if not np.any(self.thresholds):
+            object.__setattr__(self, "thresholds", self.theta)
+
+    def in_frames(self, log_intensity: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return ln of what frames show of light: less the black level.
+
+        Parameters
+        ----------
+        log_intensity : ndarray of float32, shape (H, W)
+            Natural log of DN/ms, as images show it.
+        """
+        if self.black <= 0:
+            return log_intensity
+        light = np.exp(log_intensity) - np.float32(self.black)
+        shown: NDArray[np.float32] = np.log(np.maximum(
+            light, np.float32(_LEAST * self.black)))
+        return shown
 
     @property
     def looks_around(self) -> bool:

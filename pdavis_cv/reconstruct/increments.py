@@ -22,7 +22,6 @@ from pdavis_cv.reconstruct.base import (
     Needs,
     Reconstructor,
 )
-from pdavis_cv.reconstruct.frames import log_exposure
 from pdavis_cv.reconstruct.increment_frames import (
     ANCHOR_DTYPE,
     EVENT_DTYPE,
@@ -124,9 +123,16 @@ class IncrementFilter(Reconstructor):
         self._ratio_sigma = positive("ratio_sigma", ratio_sigma)
         self._given = model
         self._saturated = Saturated(
-            self.shape, self._theta[1], self._theta[0], response, lookahead_us,
+            self.shape, *self._thresholds, response, lookahead_us,
             (*self._model.bandwidth, 0.1), self._ratio_sigma)
         self._begin()
+
+    @property
+    def _thresholds(self) -> tuple[ArrayLike, ArrayLike]:
+        """Those of the model, ON and OFF, with the stated deviations of the pixels."""
+        off, on = (mean * (theta / np.mean(theta)) for mean, theta in zip(
+            self._model.thresholds, self._theta, strict=True))
+        return on, off
 
     @property
     def _model(self) -> PixelModel:
@@ -205,7 +211,7 @@ class IncrementFilter(Reconstructor):
             [1, ratio, ratio, ratio**2, ratio**2, ratio**2], np.float32)
         self._saturated.retune(
             (*self._model.bandwidth, 0.1), self._ratio_sigma,
-            (self._theta[1], self._theta[0]) if thetas else None)
+            self._thresholds)
         self._numbers = self._model.numbers
         if self._stop:
             _kernels.increments_weigh(
@@ -291,8 +297,8 @@ class IncrementFilter(Reconstructor):
         self._frames = (*self._frames, waiting)
         self._scratch = None
         self._saturated.add_frame(
-            frame, np.log(np.maximum(frame.dn, 1)) - log_exposure(frame),
-            waiting.nodes["variance"].copy(), self.workers)
+            frame, waiting.nodes["log"].copy(), waiting.nodes["variance"].copy(),
+            self.workers)
 
     def add_wave(self, wave: Wave) -> None:
         """Take the lamp's flicker in a block (see `Reconstructor.add_wave`)."""
@@ -484,7 +490,7 @@ class IncrementFilter(Reconstructor):
         around = self._mean(self._around) if looks else None
         self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_image(
             self._planes, around, (t, self._epoch_us), self._lamp.waves,
-            self._model.black, VALID_VARIANCE, (log, variance, valid.view(np.uint8)),
+            VALID_VARIANCE, (log, variance, valid.view(np.uint8)),
             (first, last)),
             row_ns=2.0 * self.shape[1])
 
