@@ -394,10 +394,13 @@ def test_full_scale_is_measured_where_samples_are_clipped(tmp_path, top, step):
     assert measured_full_scale([np.minimum(dn, top * step - step - 1)]) is None
 
 
-def test_the_maximum_of_a_pgm_is_its_full_scale(tmp_path):
-    image = mosaics(1, top=900)[0]
-    (tmp_path / "a.pgm").write_bytes(
-        b"P5\n# a camera\n%d %d\n1023\n" % SIZE[::-1] + image.astype(">u2").tobytes())
+@pytest.mark.parametrize("head", [
+    b"P5\n# a camera\n%d %d\n1023\n", b"P2\n%d %d\n1023\n", b"P2 %d %d 1023\n"])
+def test_the_maximum_of_a_pgm_is_its_full_scale(tmp_path, head):
+    image = mosaics(1, top=900)[0].astype(np.uint16)
+    rows = "\n".join(" ".join(map(str, row)) for row in image) + "\n"
+    (tmp_path / "a.pgm").write_bytes(head % SIZE[::-1] + (
+        rows.encode() if head[1:2] == b"2" else image.astype(">u2").tobytes()))
     frames, _ = read(tmp_path / "a.pgm")
     np.testing.assert_array_equal(frames[0].dn, image)
     assert frames[0].full_scale_dn == 1023

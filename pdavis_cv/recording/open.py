@@ -14,6 +14,7 @@ from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.images.reader import is_four_planes
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.registry import FORMATS, first_bytes, format_of, read_with
+from pdavis_cv.recording.text_form import PNM
 
 __all__ = ["AnySource", "open_recording"]
 
@@ -124,11 +125,10 @@ def _not_a_recording(path: Path, start: bytes) -> RecordingError:
 
 def _is_text(start: bytes) -> bool:
     """Return whether a file begins with text that is no image (PNM is one)."""
-    return bool(start) and not _NOT_TEXT.search(start) and not _PNM.match(start)
+    return bool(start) and not _NOT_TEXT.search(start) and not PNM.match(start)
 
 
 _NOT_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
-_PNM = re.compile(rb"P[1-7]\s")
 
 
 def _other_aedat(start: bytes) -> str:

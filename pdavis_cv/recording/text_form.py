@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from pdavis_cv.errors import RecordingError
 
-__all__ = ["UNITS", "TextForm", "is_text_events", "text_form", "unit_of_times"]
+__all__ = ["PNM", "UNITS", "TextForm", "is_text_events", "text_form", "unit_of_times"]
 
 UNITS = ("us", "s", "ns", "ms")
 """Units of times, in the kernel's order."""
@@ -24,6 +24,8 @@ SLOWEST_S = 1.0
 """Mean interval of a recording's events that is beyond any camera's, s."""
 ENOUGH = 20
 """Number of lines from which their mean interval is used."""
+PNM = re.compile(rb"P[1-7]\s")
+"""Beginning of an image that may be text."""
 MAX_SIDE = 8192
 MOST_COLUMNS = 16
 
@@ -81,7 +83,7 @@ def is_text_events(start: bytes) -> bool:
     if start.startswith(b"PK\x03\x04"):
         name = start[30:30 + int.from_bytes(start[26:28], "little")]
         return not name.endswith(b".npy")
-    return text_form(start) is not None
+    return not PNM.match(start) and text_form(start) is not None
 
 
 def text_form(start: bytes) -> TextForm | None:
