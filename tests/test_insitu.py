@@ -342,11 +342,11 @@ def test_frames_are_corrected_by_the_calibration_first(nominal):
     known = Calibration(sensor_size=(8, 8), dark=dark)
     for packet in recording.packets():
         for frame in packet.frames:
-            frame.dn += dark
+            np.add(frame.dn, dark, out=frame.dn)
     calibrated = thresholds_in_situ(recording, nominal=NOMINAL, calibration=known)
     for packet in recording.packets():
         for frame in packet.frames:
-            frame.dn -= dark
+            np.subtract(frame.dn, dark, out=frame.dn)
     assert np.std(ratio_error(camera, calibrated)) < 0.006
 
 
