@@ -127,6 +127,8 @@ def test_counts_between_known_events_equal_their_twin():
 def test_a_black_level_is_missing_in_frames_not_in_light():
     model = PixelModel(theta=np.array([0.2, 0.2]), black=4.0)
     log = np.log(np.array([[4.001, 5.0, 12.0]], np.float32))
-    np.testing.assert_allclose(
-        np.exp(model.in_frames(log)), [[0.02, 1.0, 8.0]], rtol=1e-5)
-    assert model.replace(black=0.0).in_frames(log) is log
+    variance = np.full_like(log, 0.01)
+    shown, of_shown = model.in_frames(log, variance)
+    np.testing.assert_allclose(np.exp(shown), [[0.02, 1.0, 8.0]], rtol=1e-5)
+    np.testing.assert_allclose(np.sqrt(of_shown), [[20.005, 0.5, 0.15]], rtol=1e-3)
+    assert model.replace(black=0.0).in_frames(log, variance) == (log, variance)

@@ -251,9 +251,9 @@ def predicted_images(
     times_us = left_out.sample_times_us.ravel() + clock_us
     for image in pdavis_cv.fuse(recording, times_us=times_us, **options):
         model, estimate = image.provenance["parameters"].get("model"), estimates[0]
-        if isinstance(model, PixelModel):   # what frames show of the light
-            estimate = estimate._replace(
-                log_intensity=model.in_frames(estimate.log_intensity))
+        if isinstance(model, PixelModel) and estimate.variance is not None:
+            log, variance = model.in_frames(estimate.log_intensity, estimate.variance)
+            estimate = estimate._replace(log_intensity=log, variance=variance)
         yield image, estimate
 
 

@@ -97,20 +97,23 @@ class PixelModel:
         if not np.any(self.thresholds):
             object.__setattr__(self, "thresholds", self.theta)
 
-    def in_frames(self, log_intensity: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return ln of what frames show of light: less the black level.
+    def in_frames(
+        self, log_intensity: NDArray[np.float32], variance: NDArray[np.float32],
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return ln of what frames show of light, less the black level; its variance.
 
         Parameters
         ----------
-        log_intensity : ndarray of float32, shape (H, W)
-            Natural log of DN/ms, as images show it.
+        log_intensity, variance : ndarray of float32, shape (H, W)
+            Natural log of DN/ms, as images show it, and its variance.
         """
         if self.black <= 0:
-            return log_intensity
-        light = np.exp(log_intensity) - np.float32(self.black)
-        shown: NDArray[np.float32] = np.log(np.maximum(
-            light, np.float32(_LEAST * self.black)))
-        return shown
+            return log_intensity, variance
+        light = np.exp(log_intensity)
+        shown = np.maximum(
+            light - np.float32(self.black), np.float32(_LEAST * self.black))
+        factor: NDArray[np.float32] = np.square(light / shown, dtype=np.float32)
+        return np.log(shown), variance * factor
 
     @property
     def looks_around(self) -> bool:
