@@ -12,7 +12,7 @@
 #define CONTEXTS 4
 #define RATIOS 5                /* silence / gap before it: 1/4, 1/2, 1, 2, 4 */
 #define FIRST_RATIO 0.25
-#define LAGS 6
+#define LAGS 5
 #define TURN 0.268              /* turn of a parabola after a gap of unknown pace */
 /* 3 - 2 sqrt 2: the turn that just reaches a threshold */
 #define EARLIEST_TURN 0.17157287525380990

@@ -22,8 +22,8 @@ cdef extern from "_increments.h" nogil:
         double[2] theta
         double[3] theta_cov
         double[2][5] by_class
-        double[6] lag
-        double[6][2] own, cell, near
+        double[5] lag
+        double[5][2] own, cell, near
         double[2] own_now, cell_now, near_now
     ctypedef struct around_t:
         double since, gap, silent, before, next_weight, drift

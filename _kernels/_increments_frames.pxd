@@ -92,7 +92,7 @@ cdef struct lags_t:
     # Lags that are known, and the sums of weight * lag and weight * lag^2 of the three
     # places (own, cell, near), OFF and ON.
     int n
-    int[6] index
+    int[5] index
     double[3][2] first, second
     int64_t oldest, newest  # us: the longest lags back, and ahead
 

@@ -268,15 +268,17 @@ cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
     elif t < s.until:
         return True
     s.until = 0
-    since = 1e-6 * <double>(t - s.last)
+    knot = since = 1e-6 * <double>(t - s.last)
     if s.next > known:
+        if s.sign != 0 and since > SMOOTH_FROM:
+            knot = SMOOTH_FROM
+            while knot * KNOT <= since:
+                knot *= KNOT
+        # By the knot, not by t: whatever was read before, the same segment is shown.
         rests = s.sign == 0 or (t - s.last > lags.oldest and goes_on(
-            max(since + 1e-6 * <double>f.ahead, <double>s.before), c) <= 0.0)
+            max(knot + 1e-6 * <double>f.ahead, <double>s.before), c) <= 0.0)
         smooth = not rests and since > SMOOTH_FROM
     if smooth:
-        knot = SMOOTH_FROM
-        while knot * KNOT <= since:
-            knot *= KNOT
         t0 = s.last + <int64_t>(1e6 * knot)
         t1 = s.last + <int64_t>(1e6 * knot * KNOT)
         s.until = t1

@@ -72,6 +72,11 @@ class Quantity:
     symbol: str = ""
 
     @property
+    def of_events(self) -> bool:
+        """Whether it is drawn from events, and so belongs to no image."""
+        return self.colours == "events"
+
+    @property
     def light(self) -> bool:
         """Whether it is an intensity that is not negative."""
         return self.unit == INTENSITY and self.range[0] == 0
@@ -197,7 +202,7 @@ def chosen(names: Sequence[str]) -> tuple[Quantity, ...]:
     found = [quantity(one) for name in names
              for one in GROUPS.get(name.lower(), (name,))]
     for one in found:
-        if one.colours == "events":
+        if one.of_events:
             raise ValueError(f"{one.name} needs {one.needs}")
     return tuple(found)
 

@@ -24,18 +24,16 @@ NETWORKS = ("firenet", "joint")
 LEARNS = {"method": "kalman", "causal": True}
 
 
-def cases(long, methods=METHODS):
-    """Return methods as parameters; those that are long are the gate's."""
+def cases(long):
+    """Return the methods as parameters; those that are long are the gate's."""
     return pytest.mark.parametrize("method", [
         pytest.param(method, id="-".join(map(str, method.values())),
                      marks=pytest.mark.gate if long(method) else ())
-        for method in methods])
+        for method in METHODS])
 
 
 CASES = cases(lambda method: method == LEARNS)
 CASES_OF_A_FILE = cases(lambda method: method["method"] in (*NETWORKS, "kalman"))
-EXACT = cases(lambda method: method["method"] in (*NETWORKS, "kalman"), [
-    method for method in METHODS if method["method"] != "increments"])
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +89,7 @@ def test_random_seeks_equal_sequential_reading(ideal, method, grid, n):
 
 
 @pytest.mark.gate
-@EXACT
+@CASES_OF_A_FILE
 def test_random_seeks_in_a_real_recording(data_dir, method):
     method, n = quick(method, 100)
     with VideoCapture(data_dir / "davis346.aedat4", **method,
@@ -100,24 +98,6 @@ def test_random_seeks_in_a_real_recording(data_dir, method):
         check_random_seeks(cap, n)
         # Fewer of those that are large: offline, of the whole sensor.
         assert len(cap._session.cursor.kept) >= 5
-
-
-@pytest.mark.gate
-@pytest.mark.parametrize("causal", [False, True])
-def test_random_seeks_with_increments_differ_in_few_pixels(data_dir, causal):
-    """docs/theory/increments.md, limits."""
-    with VideoCapture(data_dir / "davis346.aedat4", method="increments", causal=causal,
-                      fps=60, layout=Layout.PDAVIS, roi=(90, 70, 120, 96)) as cap:
-        cap._session.cursor.spacing_us = 200_000
-        images = []
-        while cap.grab():
-            images.append(cap.retrieve(None, p.CAP_PDAVIS_QUAD)[1].copy())
-        for k in np.random.default_rng(0).integers(0, len(images), 20):
-            assert cap.set(POS_FRAMES, k)
-            assert cap.grab()
-            got = cap.retrieve(None, p.CAP_PDAVIS_QUAD)[1]
-            np.testing.assert_allclose(got, images[k], rtol=0.02)
-            assert np.mean(got != images[k]) < 0.01
 
 
 @pytest.mark.gate

@@ -21,8 +21,8 @@ TABLE = PLAIN.replace(
     open_variance=RNG.uniform(0.02, 0.1, (4, 5)), rest_s=0.1,
     by_class=RNG.normal(0, 0.02, (2, 5)), theta_cov=np.diag([1e-3, 5e-4]))
 WHOLE = TABLE.replace(
-    own=RNG.normal(0, 0.03, (6, 2)), cell=RNG.normal(0, 0.03, (6, 2)),
-    near=RNG.normal(0, 0.03, (6, 2)),
+    own=RNG.normal(0, 0.03, (5, 2)), cell=RNG.normal(0, 0.03, (5, 2)),
+    near=RNG.normal(0, 0.03, (5, 2)),
     cell_now=RNG.normal(0, 0.03, 2), near_now=RNG.normal(0, 0.03, 2), dead_s=1e-3,
     black=4.0)
 MODELS = {"plain": PLAIN, "table": TABLE, "whole": WHOLE,

@@ -1,12 +1,14 @@
 """Learning of a camera from its own frames and events."""
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
 import pytest
 
-from pdavis_cv import _kernels
+from pdavis_cv import _kernels, fuse
+from pdavis_cv.export.files import write_json
 from pdavis_cv.pixel.learn import Priors, learn
 from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.pixel.sample import PAST_DTYPE, PixelSample
@@ -78,7 +80,7 @@ def test_still_light_moves_nothing():
 def test_learning_is_deterministic():
     one, other = (learn(sampled(of(1304), 200, 0.5, 1.0), TOLD, 50_000)
                   for _ in range(2))
-    assert one.model.same(other.model)
+    assert one.model == other.model
     assert one.clock_offset_us == other.clock_offset_us
 
 
@@ -132,3 +134,42 @@ def test_a_black_level_is_missing_in_frames_not_in_light():
     np.testing.assert_allclose(np.exp(shown), [[0.02, 1.0, 8.0]], rtol=1e-5)
     np.testing.assert_allclose(np.sqrt(of_shown), [[20.005, 0.5, 0.15]], rtol=1e-3)
     assert model.replace(black=0.0).in_frames(log, variance) == (log, variance)
+
+
+def test_a_known_clock_offset_is_used_and_not_learned():
+    sample = sampled(of(1005), 200, 0.5)
+    found = [learn(sample, Priors(theta=(0.2, 0.2), clock_us=(us, 0.0)), 50_000)
+             for us in (-3000.0, 0.0)]
+    assert [one.clock_offset_us for one in found] == [-3000, 0]
+    assert all("shift" not in one.sigmas for one in found)
+    told, wrong = (np.abs(one.model.thresholds / (0.27, 0.23) - 1).max()
+                   for one in found)
+    assert told < 0.1
+    assert told < wrong
+
+
+def test_what_was_learned_does_not_depend_on_what_was_fused_before():
+    """Each look-ahead has its own weights, though both read the same recording."""
+    recording, _ = of(1006).record(RotatingPolarizer(rpm=200), 1.5)
+
+    def learned(**options):
+        image = next(iter(fuse(recording, method="increments", **options)))
+        return image.provenance["parameters"]["model"]
+
+    first = learned(mode="offline")
+    assert learned() != first
+    assert learned(mode="offline") == first
+
+
+def test_a_stated_clock_offset_is_that_of_the_images():
+    recording, _ = of(1007).record(RotatingPolarizer(rpm=200), 1.0)
+    image = next(iter(fuse(recording, method="increments", clock_offset_us=-3000)))
+    assert image.provenance["clock_offset_us"] == -3000
+
+
+def test_a_learned_camera_is_written_as_numbers(tmp_path):
+    model = PixelModel(theta=np.array([0.25, 0.2]), black=1.5)
+    write_json(tmp_path / "a.json", {"model": model})
+    found = json.loads((tmp_path / "a.json").read_text())["model"]
+    assert found["theta"] == [0.25, 0.2]
+    assert found["black"] == 1.5

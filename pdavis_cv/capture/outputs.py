@@ -56,7 +56,7 @@ def output_named(name: str) -> Output:
     except KeyError:
         one = None
     if one is None or (base != rest and one.colours != "hue") or (
-            rest == stem and one.colours == "events"):
+            rest == stem and one.of_events):
         raise ValueError(f"output must be one of {', '.join(outputs())}, got {name!r}")
     found = one.name + stem.removeprefix(base)
     return Output("bgr" if found == "s0_bgr" else found, (one,), rest != stem,
@@ -79,7 +79,7 @@ def outputs() -> tuple[str, ...]:
     """
     names = [one.name for one in _fixed()]
     for one in QUANTITIES.usable().values():
-        names += [one.name] if one.colours != "events" else []
+        names += [one.name] if not one.of_events else []
         names += ["bgr" if one.name == "s0" else f"{one.name}_bgr"]
         names += [f"{one.name}_faded_bgr"] if one.colours == "hue" else []
     return tuple(dict.fromkeys(names))

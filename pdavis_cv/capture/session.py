@@ -170,7 +170,7 @@ class Session:
         if not self.grabbed:
             raise LookupError("no image was grabbed")
         wanted = output_at(output)
-        if wanted.quantity.colours == "events":
+        if wanted.quantity.of_events:
             counts = self._event_counts()
             return picture.events_bgr(counts) if self.view.convert else counts
         if self._frame is None:

@@ -107,12 +107,10 @@ class Learning:
         wanted = set(needs.learned - known.keys())
         # Others that are wanted below only tell how certain these are.
         self._learned = frozenset(wanted)
-        if "model" in wanted:
-            pass                # it has thresholds, bandwidth and all else
-        elif needs.frames and wanted <= {"jitter_us", "ratio_sigma", "refractory_us"}:
+        if needs.frames and wanted <= {"jitter_us", "ratio_sigma", "refractory_us"}:
             wanted = set()      # alone they do not justify reading ahead
         if "model" in wanted:
-            pass
+            pass                # it has thresholds and their spread
         elif options.thresholds == "in-situ":
             # Thresholds of each pixel need a window of data that a passing stream
             # does not keep.
@@ -164,16 +162,19 @@ class Learning:
         clock: ClockOffset | None,
     ) -> Priors:
         """Return what is known of the pixels beforehand."""
-        known = self._calibration is not None and self._calibration.theta_on is not None
-        stated = options.thresholds is not None and options.thresholds not in (
-            "in-situ", "bias", "nominal")
-        law = self._stated
+        calibration, chosen = self._calibration, options.thresholds
+        measured = chosen is not None and not isinstance(chosen, str)
+        if chosen in (None, "calibration") and not measured:
+            measured = calibration is not None and calibration.theta_on is not None
+        law = self._stated or (None if calibration is None else (
+            calibration.bandwidth_hz or 0.0, calibration.bandwidth_hz_per_dn or 0.0,
+            0.0))
         return Priors(
             theta=(float(np.asarray(thetas[0], float).mean()),
                    float(np.asarray(thetas[1], float).mean())),
-            theta_sigma=_STATED_SIGMA if known or stated else _NOMINAL_SIGMA,
-            clock_us=_USUAL_CLOCK_US if clock is None else None,
-            **({} if law is None else {
+            theta_sigma=_STATED_SIGMA if measured else _NOMINAL_SIGMA,
+            clock_us=_USUAL_CLOCK_US if clock is None else (clock.us, 0.0),
+            **({} if law is None or not any(law) else {
                 "bandwidth": law[:2], "bandwidth_sigma": (law[2], law[2])}))
 
     def _of_calibration(self, options: FusionOptions) -> dict[str, Any]:
@@ -250,6 +251,7 @@ class Learning:
     def _key(self) -> tuple[Any, ...]:
         bandwidth = self.prior.parameters.get("bandwidth")
         return (self.wanted, id(self._calibration), self.prior.clock_us,
+                self._learns and (self._learns, self._lookahead_us),
                 None if bandwidth is None else tuple(bandwidth),
                 "bandwidth" in self.prior.parameters,
                 *(np.asarray(theta, np.float64).tobytes()

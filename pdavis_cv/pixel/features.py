@@ -4,9 +4,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.pixel.model import GAP_CLASSES, LAGS_S, PixelModel
+from pdavis_cv.pixel.model import GAP_CLASSES, LAGS_S, SHORT_US, PixelModel
 from pdavis_cv.pixel.rows import (
-    SHORT_US,
     Floats,
     Pairs,
     around_rows,

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.pixel import features
-from pdavis_cv.pixel.model import PixelModel
+from pdavis_cv.pixel.model import SHORT_US, PixelModel
 from pdavis_cv.pixel.rows import (
-    SHORT_US,
     Floats,
     Pairs,
     Rows,
@@ -89,9 +88,8 @@ class Priors:
         Thresholds, OFF and ON, ln.
     theta_sigma : float
         Their relative error.
-    clock_us : (float, float) or None
-        Offset of the frames' clock and its standard deviation, us; None: it is known,
-        and the frames are moved already.
+    clock_us : (float, float)
+        Offset of the frames' clock and its standard deviation, us; 0: it is known.
     bandwidth : (float, float)
         Corner frequency, Hz, and its increase by light, Hz per DN/ms.
     bandwidth_sigma : (float, float)
@@ -102,7 +100,7 @@ class Priors:
 
     theta: tuple[float, float]
     theta_sigma: float = 0.5
-    clock_us: tuple[float, float] | None = (0.0, 5000.0)
+    clock_us: tuple[float, float] = (0.0, 5000.0)
     bandwidth: tuple[float, float] = (300.0, 2.0)
     bandwidth_sigma: tuple[float, float] = (0.5, 1.0)
     black: tuple[float, float] | None = None
@@ -118,8 +116,9 @@ class LearnedPixels:
     clock_offset_us : float
         To add to the frames' stamps.
     sigmas : mapping of str to float
-        Standard deviations: ``clock_us``, ``f0`` and ``slope`` (of the logarithms),
-        ``black`` (DN/ms), ``off`` and ``on`` (relative).
+        Standard deviations: ``shift`` (us) of the clock offset, ``f0`` and ``slope``
+        (of the logarithms), ``black`` (DN/ms), ``off`` and ``on`` (relative), and
+        ``lag`` (us) of the interpolation.
     gains : ndarray of float64, shape (2, K)
         Deviations of the sampled pixels' thresholds.
     """
@@ -190,13 +189,14 @@ def learn(sample: PixelSample, priors: Priors, lookahead_us: int) -> LearnedPixe
         As the priors say what the data do not tell.
     """
     data = sample.sampled()
-    clock = 0.0 if priors.clock_us is None else priors.clock_us[0]
+    clock, of_clock = priors.clock_us
     prior = model = prior_model(priors, lookahead_us)
     gains = np.zeros((2, len(data.start) - 1))
-    fit = _Fit(model, 0.0, 0.0, gains, {})
+    told = 0.0 if of_clock else clock   # an offset needs evidence, or to be known
+    fit = _Fit(model, told, 0.0, gains, {})
     pairs = pairs_of(data, clock)
     if pairs is None or len(data.events) < 100:
-        return LearnedPixels(model=model, gains=gains)
+        return LearnedPixels(model=model, clock_offset_us=told, gains=gains)
     fit = _with(fit, dead_s=_dead_time(data))
     fit = _fitted(data, pairs, priors, fit)
     model, past = fit.model, _past(data, fit.model)
@@ -204,7 +204,8 @@ def learn(sample: PixelSample, priors: Priors, lookahead_us: int) -> LearnedPixe
     if max(fit.sigmas["off"], fit.sigmas["on"]) > LEAST_KNOWN * priors.theta_sigma:
         # Frames do not tell events from noise: what was told stays.
         model = model.replace(black=prior.black, bandwidth=prior.bandwidth)
-        return LearnedPixels(model=model, gains=gains, sigmas=fit.sigmas)
+        return LearnedPixels(model=model, clock_offset_us=told, gains=gains,
+                             sigmas=fit.sigmas)
     short = thinned(pairs.part(pairs.short), MOST_FURTHER)
     model = features.further_weights(data, past, short, model, fit.gains, fit.shift_us,
                             lookahead_us)
@@ -351,9 +352,8 @@ def _losses(data: Sampled, pairs: Pairs, fit: _Fit) -> Floats:
 
 def _apart(fits: Sequence[_Fit]) -> list[_Fit]:
     """Return the first of some fits, and the next of another minimum."""
-    first = fits[0]
-    return [first, *[one for one in fits[1:]
-                     if abs(one.shift_us - first.shift_us) > 3000][:1]]
+    others = [one for one in fits[1:] if abs(one.shift_us - fits[0].shift_us) > 3000]
+    return [*fits[:1], *others[:1]]
 
 
 def _effect(data: Sampled, pairs: Pairs, fit: _Fit) -> float:
@@ -374,7 +374,7 @@ def _mean_gap(data: Sampled, pairs: Pairs, fit: _Fit) -> float:
 
 def _numbers(priors: Priors, gap_us: float, pairs: Pairs) -> dict[str, _Number]:
     every: dict[str, _Number] = {}
-    if priors.clock_us is not None:
+    if priors.clock_us[1] > 0:
         every["shift"] = _Number(
             *priors.clock_us, 300.0, 1500.0, lambda f: f.shift_us,
             lambda f, x: _changed(f, shift_us=x))

@@ -8,15 +8,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CONTEXTS", "GAP_CLASSES", "LAGS_S", "RATIOS", "PixelModel"]
+__all__ = ["CONTEXTS", "GAP_CLASSES", "LAGS_S", "RATIOS", "SAMPLES", "SHORT_US",
+           "PixelModel"]
 
 GAP_CLASSES, CONTEXTS, RATIOS = 5, 4, 5
 """Classes of the gap before an event; contexts and lengths of a silence after one."""
 
-LAGS_S = (-0.04, -0.01, -0.002, 0.0045, 0.018, 0.0)
+LAGS_S = (-0.04, -0.01, -0.002, 0.0045, 0.018)
 """Times at which events are compared with now, s; those of weight 0 cost nothing."""
 
 _LAGS = len(LAGS_S)
+
+SHORT_US, SAMPLES = 1500, 7
+"""Exposure up to which its middle is looked at, us; else at how many times it is."""
+
+_LEAST_VARIANCE = 1e-4
+"""ln^2: what a sample errs by at least, one per cent; no pixel is exactly linear."""
 
 _LEAST = 0.005
 """Least light that frames show, in black levels; numerical."""
@@ -115,6 +122,22 @@ class PixelModel:
         factor: NDArray[np.float32] = np.square(light / shown, dtype=np.float32)
         return np.log(shown), variance * factor
 
+    def frame_variance(
+        self, dn: NDArray[np.floating], ms: NDArray[np.floating],
+    ) -> NDArray[np.floating]:
+        """Return R of (8): variance of ln(I + black) that a frame's sample has.
+
+        Parameters
+        ----------
+        dn, ms : ndarray of float, of shapes that go together
+            Values of the frame, and exposure, ms.
+        """
+        full = np.maximum(dn + self.black * ms, 1)
+        noise = self.read_variance + self.shot * np.maximum(dn, 1)
+        variance: NDArray[np.floating] = np.minimum(
+            noise / full**2 + _LEAST_VARIANCE, 1)
+        return variance
+
     @property
     def looks_around(self) -> bool:
         """Whether other times or pixels have a weight."""
@@ -139,12 +162,9 @@ class PixelModel:
         return replace(self, **changes)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, PixelModel) and self.same(other)
+        return isinstance(other, PixelModel) and all(
+            np.array_equal(getattr(self, one.name), getattr(other, one.name))
+            for one in fields(self))
 
     def __hash__(self) -> int:
         return hash(self.numbers.tobytes())
-
-    def same(self, other: PixelModel) -> bool:
-        """Return whether all fields are equal."""
-        return all(np.array_equal(getattr(self, one.name), getattr(other, one.name))
-                   for one in fields(self))

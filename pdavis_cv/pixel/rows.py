@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv.pixel.model import LAGS_S, PixelModel
+from pdavis_cv.pixel.model import LAGS_S, SAMPLES, SHORT_US, PixelModel
 from pdavis_cv.pixel.sample import Sampled
 
-__all__ = ["SHORT_US", "Pairs", "Rows", "around_rows", "counts_at",
+__all__ = ["Pairs", "Rows", "around_rows", "counts_at",
            "fitted_noise", "linearized", "pairs_of", "robust", "thinned"]
 
 Floats = NDArray[np.float64]
@@ -29,9 +29,6 @@ MOST_ROWS, MOST_PER_PAIR = 36_000, 1_200
 
 LEAST_DN = 8
 """Least DN of a sample that is used."""
-
-SHORT_US, SAMPLES = 1500, 7
-"""Exposure up to which its middle is looked at, us; else at how many times it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,15 +180,12 @@ def linearized(
     feature[:, [0, *range(2, 7)]] *= factor[0][:, None]
     feature[:, [1, *range(7, 12)]] *= factor[1][:, None]
     h = means[1][:, 12] - means[0][:, 12]
-    full = pairs.dn + model.black * pairs.ms
-    noise = ((model.read_variance + model.shot * np.maximum(pairs.dn, 1)) / full**2
-             + 1e-4)
     mean_dn, mean_ms = np.sqrt(pairs.dn[0] * pairs.dn[1]), pairs.ms.mean(0)
     off = feature[:, [0, *range(2, 7)]] @ weights[[0, *range(2, 7)]]
     on = feature[:, [1, *range(7, 12)]] @ weights[[1, *range(7, 12)]]
     return Rows(feature, logs[1] - logs[0] - h + feature @ weights,
                 (mean_dn + model.black * mean_ms) / mean_dn,
-                np.minimum(noise, 1).sum(0),
+                model.frame_variance(pairs.dn, pairs.ms).sum(0),
                 np.stack([off / factor[0], on / factor[1]], 1), pairs)
 
 

@@ -6,20 +6,12 @@ import copy
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.pixel.model import PixelModel
+from pdavis_cv.pixel.model import SAMPLES, SHORT_US, PixelModel
 from pdavis_cv.reconstruct.frames import log_exposure, usable_samples
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["ANCHOR_DTYPE", "EVENT_DTYPE", "NODE_DTYPE", "PIXEL_DTYPE", "SHOWN_DTYPE",
            "Waiting"]
-
-SHORT_US = 1500
-"""Exposure up to which the light in the middle is the mean light, us; else it is
-averaged over `SAMPLES` times."""
-SAMPLES = 7
-
-_LEAST_VARIANCE = 1e-4
-"""ln^2: what a sample errs by at least, one per cent; no pixel is exactly linear."""
 
 EVENT_DTYPE = np.dtype([
     ("t", "<i8"), ("light", "<f8", 2), ("count", "<f8", 2), ("before", "<f4"),
@@ -53,10 +45,8 @@ class Waiting:
     ----------
     frame : ApsFrame
         As read out.
-    black : float
-        Light that it lacks, DN/ms.
     model : PixelModel
-        Gives its noise.
+        Gives its noise, and the light that it lacks.
     """
 
     def __init__(self, frame: ApsFrame, model: PixelModel) -> None:
@@ -77,13 +67,10 @@ class Waiting:
         """Compute log light and its noise."""
         frame, dn = self.frame, self.frame.dn
         ms = np.exp(log_exposure(frame))
-        black = np.float32(model.black) * ms
-        full = np.maximum(dn + black, 1)
-        variance = ((model.read_variance + model.shot * np.maximum(dn, 1))
-                    / np.maximum(full, 1) ** 2 + _LEAST_VARIANCE)
+        full = np.maximum(dn + np.float32(model.black) * ms, 1)
         usable = (usable_samples(frame) > 0) & (dn >= 1)
         self.nodes["log"] = np.log(full) - np.log(ms)
-        self.nodes["variance"] = np.where(usable, np.minimum(variance, 1), 0)
+        self.nodes["variance"] = np.where(usable, model.frame_variance(dn, ms), 0)
 
     @property
     def samples(self) -> int:

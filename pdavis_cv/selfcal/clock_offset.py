@@ -100,20 +100,23 @@ class ClockOffset:
         offset was stated, not estimated.
     or_lag : bool
         Whether a lag of the photoreceptors would explain the delay equally well.
+    decided : bool
+        Whether its estimator has weighed the evidence for it, so that it is applied.
     """
 
     us: float
     sigma_us: float
     or_lag: bool = False
+    decided: bool = False
 
     @property
     def significant(self) -> bool:
         """Whether the offset is significant, and so is applied.
 
-        It is if it was stated, or if it lies beyond 3 sigma and 1 ms but within 12 ms
-        and the data give more information than the prior.
+        It is if it was stated or decided, or if it lies beyond 3 sigma and 1 ms but
+        within 12 ms and the data give more information than the prior.
         """
-        return self.sigma_us == 0 or (
+        return self.decided or self.sigma_us == 0 or (
             self.sigma_us < CLOCK_OFFSET_SIGMA_US
             and max(_SIGMAS * self.sigma_us, _LEAST_US) < abs(self.us) < _MOST_US)
 

@@ -282,13 +282,11 @@ class SelfCalibration:
         jitter = (fit_jitter(self._window)
                   if "jitter_us" in wanted and not self._window.flickers else None)
         if self._pixels is not None and self._learns is not None and "model" in wanted:
-            found_ = learn(self._pixels, self._learns, lookahead_us)
+            learned = learn(self._pixels, self._learns, lookahead_us)
             on, off = (np.broadcast_to(value, self.shape) for value in self._nominal)
-            offset = found_.clock_offset_us
             return CameraEstimate(
-                theta_on=on, theta_off=off, ratio_spread=spread, pixels=found_,
-                clock_offset=None if self._learns.clock_us is None else ClockOffset(
-                    offset, 0.0 if offset else CLOCK_OFFSET_SIGMA_US))
+                theta_on=on, theta_off=off, ratio_spread=spread, pixels=learned,
+                clock_offset=_clock_of(learned, self._learns))
         sample = None if OF_EVENTS.issuperset(wanted) else select_busy_pixels(
             self._window, self._nominal, self._leak_hz)
         found: Bandwidth | None = None
@@ -415,6 +413,16 @@ class SelfCalibration:
             self._pixels.restore(state["pixels"])
         if self._whole is not None:
             self._whole.restore(state["whole"])
+
+
+def _clock_of(learned: LearnedPixels, known: Priors) -> ClockOffset | None:
+    """Return the clock offset that was learned; None if it was known."""
+    if not known.clock_us[1]:
+        return None
+    sigma = learned.sigmas.get("shift", CLOCK_OFFSET_SIGMA_US)
+    return ClockOffset(
+        learned.clock_offset_us, min(sigma, CLOCK_OFFSET_SIGMA_US),
+        decided=learned.clock_offset_us != 0)
 
 
 def _scale_and_clock(

@@ -90,7 +90,7 @@ def _plane(
     values; those of others map the quantity's range, or S0's levels, to 0 .. 254, or
     are `NONE`.
     """
-    if one.colours == "events":
+    if one.of_events:
         return np.ascontiguousarray(
             pane(f"{one.name}_bgr", show, image)[..., 0])
     values = one.plane(image)
@@ -148,7 +148,7 @@ def planes(
 def missing(names: Iterable[str], image: PolarFrame) -> list[str]:
     """Return the names of those quantities that the image's method does not give."""
     return [one.name for one in map(quantity, names)
-            if one.colours != "events" and one.plane(image) is None]
+            if not one.of_events and one.plane(image) is None]
 
 
 def palettes() -> dict[str, Any]:
@@ -174,7 +174,7 @@ def palettes() -> dict[str, Any]:
         "quantities": [
             {"name": one.name, "symbol": one.symbol or one.name, "title": one.title,
              "unit": one.unit, "ends": _ends(one),
-             "colours": "tone" if one.colours == "events" else one.colours}
+             "colours": "tone" if one.of_events else one.colours}
             for one in QUANTITIES.usable().values() if one.pane],
         "colours": {"tone": tones, "hue": rgb(np.append(
                         aop_bgr(middle[None]), np.zeros((1, 1, 3), np.uint8), 1)),
@@ -207,7 +207,7 @@ def pane(name: str, show: Show, image: PolarFrame) -> NDArray[np.uint8]:
     if not output.picture:
         raise ValueError(
             f"output must be a picture, such as {output.name}_bgr, got {name!r}")
-    if output.quantity.colours == "events":
+    if output.quantity.of_events:
         assert image.t_us is not None
         provenance = show.fusion.provenance
         step = 2 if provenance["demosaic"] in HALF_SIZE else 1
