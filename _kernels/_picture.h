@@ -2,8 +2,9 @@
 
    A block of values first becomes indices, without branches so that it fills vectors;
    then each pixel is one load and one store of four bytes, of which the next pixel
-   overwrites the fourth.  The table has `size` colours and two more: of a value that is
-   not finite, and of one that is not valid. */
+   overwrites the fourth.  The table has `size` colours and four more: of a value that is
+   not finite and of one that is not valid, then both again.  These take turns along the
+   diagonal, so that what has no value is hatched. */
 #ifndef PDAVIS_CV_PICTURE_H
 #define PDAVIS_CV_PICTURE_H
 
@@ -37,11 +38,14 @@ static int32_t far_hue(double value, int32_t size)
     PDAVIS_CLONES PDAVIS_UNUSED static void NAME(                                    \
         const T *restrict row, const uint8_t *restrict valid, ptrdiff_t n,           \
         double scale, double least, const uint8_t *restrict table, int32_t size,     \
-        uint8_t *restrict out)                                                       \
+        int32_t y, uint8_t *restrict out)                                            \
     {                                                                                \
         int32_t lines[PDAVIS_PIXELS];                                                \
         const double top = size - 1;                                                 \
         const T bound = (T)least;                                                    \
+        int32_t shift = 1;                                                           \
+        while (n >> shift > 256) /* a picture seen whole, however large, shows them */ \
+            shift++;                                                                 \
         (void)top;                                                                   \
         for (; n > 0; row += PDAVIS_PIXELS, n -= PDAVIS_PIXELS) {                    \
             ptrdiff_t i, m = n < PDAVIS_PIXELS ? n : PDAVIS_PIXELS;                  \
@@ -62,6 +66,9 @@ static int32_t far_hue(double value, int32_t size)
                         : size + (row[i] >= bound);                                  \
                 valid += PDAVIS_PIXELS;                                              \
             }                                                                        \
+            for (i = 0; i < m; i++)                                                  \
+                lines[i] += (lines[i] >= size) * (((int32_t)i + y) >> shift & 1) * 2; \
+            y += (int32_t)m;                                                         \
             for (i = 0; i < m - 1; i++)                                              \
                 memcpy(out + 3 * i, table + 4 * (ptrdiff_t)lines[i], 4);             \
             memcpy(out + 3 * i, table + 4 * (ptrdiff_t)lines[i], 3);                 \

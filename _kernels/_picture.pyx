@@ -9,23 +9,23 @@ ctypedef fused plane_t:
     double
 
 ctypedef void (*row_f32_t)(const float*, const uint8_t*, Py_ssize_t, double, double,
-                           const uint8_t*, int32_t, uint8_t*) noexcept nogil
+                           const uint8_t*, int32_t, int32_t, uint8_t*) noexcept nogil
 ctypedef void (*row_f64_t)(const double*, const uint8_t*, Py_ssize_t, double, double,
-                           const uint8_t*, int32_t, uint8_t*) noexcept nogil
+                           const uint8_t*, int32_t, int32_t, uint8_t*) noexcept nogil
 
 cdef extern from "_picture.h" nogil:
     void hue_row_f32(const float*, const uint8_t*, Py_ssize_t, double, double,
-                     const uint8_t*, int32_t, uint8_t*)
+                     const uint8_t*, int32_t, int32_t, uint8_t*)
     void hue_row_f64(const double*, const uint8_t*, Py_ssize_t, double, double,
-                     const uint8_t*, int32_t, uint8_t*)
+                     const uint8_t*, int32_t, int32_t, uint8_t*)
     void ramp_row_f32(const float*, const uint8_t*, Py_ssize_t, double, double,
-                      const uint8_t*, int32_t, uint8_t*)
+                      const uint8_t*, int32_t, int32_t, uint8_t*)
     void ramp_row_f64(const double*, const uint8_t*, Py_ssize_t, double, double,
-                      const uint8_t*, int32_t, uint8_t*)
+                      const uint8_t*, int32_t, int32_t, uint8_t*)
     void tone_row_f32(const float*, const uint8_t*, Py_ssize_t, double, double,
-                      const uint8_t*, int32_t, uint8_t*)
+                      const uint8_t*, int32_t, int32_t, uint8_t*)
     void tone_row_f64(const double*, const uint8_t*, Py_ssize_t, double, double,
-                      const uint8_t*, int32_t, uint8_t*)
+                      const uint8_t*, int32_t, int32_t, uint8_t*)
     void fade_row(const float*, const uint8_t*, Py_ssize_t, float, int32_t, uint8_t*)
 
 
@@ -34,8 +34,8 @@ cdef int check(Py_ssize_t h, Py_ssize_t w, const uint8_t[:, ::1] valid,
     if valid.shape[0] * valid.shape[1] != 0 and (
             valid.shape[0] != h or valid.shape[1] != w):
         raise ValueError("picture: valid must be empty or have the size of plane")
-    if not 2 < table.shape[0] < 1 << 30 or table.shape[1] != 4:
-        raise ValueError("picture: table must be (n + 2, 4), n > 0")
+    if not 4 < table.shape[0] < 1 << 30 or table.shape[1] != 4:
+        raise ValueError("picture: table must be (n + 4, 4), n > 0")
     if (out.shape[0] != h or out.shape[1] != w or out.shape[2] != 3
             or out.strides[2] != 1 or w > 1 and out.strides[1] != 3):
         raise ValueError("picture: out must be (h, w, 3), its rows contiguous")
@@ -59,10 +59,10 @@ cdef int draw(const plane_t[:, ::1] plane, const uint8_t[:, ::1] valid, double s
         for y in range(h):
             if plane_t is float:
                 row_f32(&plane[y, 0], row_of(valid, y), w, scale, least,
-                        &table[0, 0], table.shape[0] - 2, &out[y, 0, 0])
+                        &table[0, 0], table.shape[0] - 4, <int32_t>y, &out[y, 0, 0])
             else:
                 row_f64(&plane[y, 0], row_of(valid, y), w, scale, least,
-                        &table[0, 0], table.shape[0] - 2, &out[y, 0, 0])
+                        &table[0, 0], table.shape[0] - 4, <int32_t>y, &out[y, 0, 0])
     return 0
 
 
@@ -72,9 +72,10 @@ def hue_bgr(const plane_t[:, ::1] plane not None,
             uint8_t[:, :, :] out not None):
     """Write table[round(plane * scale) modulo n] to out (h, w, 3), rows contiguous.
 
-    table is (n + 2, 4): B, G, R and an unused byte.  A value that is not finite gets
+    table is (n + 4, 4): B, G, R and an unused byte.  A value that is not finite gets
     table[n]; where valid (if not empty) is 0, a value of at least `least` gets
-    table[n + 1], any other table[n].
+    table[n + 1], any other table[n].  In every other diagonal stripe these are
+    table[n + 2] and table[n + 3]; stripes are 2 pixels wide, in wide pictures more.
     """
     draw(plane, valid, scale, least, table, out, hue_row_f32, hue_row_f64)
 
@@ -159,12 +160,12 @@ def polar_bgr(const float[:, :, ::1] quad not None,
                     good[x] &= valid[y, x] != 0
             if s0.shape[0]:
                 ramp_row_f32(row[0], good, w, s0_scale, least, &s0_table[0, 0],
-                             s0_table.shape[0] - 2, &s0[y, 0, 0])
+                             s0_table.shape[0] - 4, <int32_t>y, &s0[y, 0, 0])
             if aop.shape[0]:
                 aop_row(row[1], row[2], w, row[3])
                 hue_row_f32(row[3], good, w, aop_scale, -INFINITY, &aop_table[0, 0],
-                            aop_table.shape[0] - 2, &aop[y, 0, 0])
+                            aop_table.shape[0] - 4, <int32_t>y, &aop[y, 0, 0])
             if dolp.shape[0]:
                 dolp_row(row[0], row[1], row[2], w, row[4])
                 ramp_row_f32(row[4], good, w, dolp_scale, -INFINITY, &dolp_table[0, 0],
-                             dolp_table.shape[0] - 2, &dolp[y, 0, 0])
+                             dolp_table.shape[0] - 4, <int32_t>y, &dolp[y, 0, 0])

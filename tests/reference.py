@@ -1,6 +1,8 @@
 """Plain NumPy versions of the kernels, written to be read."""
 import numpy as np
 
+from pdavis_cv import render
+
 
 def floor_sum(events, step, out):
     np.add.at(out, (events["y"], events["x"]), step[events["p"]])
@@ -89,20 +91,20 @@ def unpack_in_pairs(data, bits, n):
 
 def hue_bgr(plane, valid, scale, least, table):
     value = np.where(np.isfinite(plane), plane, 0).astype(float) * scale
-    index = np.floor((value + 0.5) % (len(table) - 2)).astype(int)
+    index = np.floor((value + 0.5) % (len(table) - 4)).astype(int)
     return coloured(plane, valid, least, table, index, np.isfinite(plane))
 
 
 def ramp_bgr(plane, valid, scale, least, table):
     value = np.where(np.isnan(plane), 0, plane).astype(float) * scale
-    index = (np.clip(value, 0, len(table) - 3) + 0.5).astype(int)
+    index = (np.clip(value, 0, len(table) - 5) + 0.5).astype(int)
     return coloured(plane, valid, least, table, index, ~np.isnan(plane))
 
 
 def tone_bgr(plane, valid, scale, least, table):
     value = np.where(np.isnan(plane), 0, plane).astype(float) * scale
     root = np.sqrt(np.maximum(value, 0))
-    index = (np.minimum(root, len(table) - 3) + 0.5).astype(int)
+    index = (np.minimum(root, len(table) - 5) + 0.5).astype(int)
     return coloured(plane, valid, least, table, index, ~np.isnan(plane))
 
 
@@ -114,9 +116,24 @@ def fade_bgr(weight, valid, scale, ground, picture):
 
 
 def coloured(plane, valid, least, table, index, has_colour):
-    index = np.where(has_colour, index, len(table) - 2)
-    index = np.where(valid, index, len(table) - 2 + (plane >= least))
+    marks = len(table) - 4 + 2 * stripes(plane.shape)
+    index = np.where(has_colour, index, marks)
+    index = np.where(valid, index, marks + (plane >= least))
     return table[index, :3]
+
+
+def stripes(shape):
+    """Every other diagonal stripe: of 2 pixels, twice that beyond 513, 1027, ..."""
+    width = 2
+    while shape[1] // width > 256:
+        width *= 2
+    return sum(np.ogrid[:shape[0], :shape[1]]) // width % 2
+
+
+def hatched(picture):
+    """Where a picture has the mark of pixels that are not valid."""
+    colours = np.array(render.INVALID)[stripes(picture.shape)]
+    return (picture == colours).all(axis=-1)
 
 
 def count(events, shape, start_us, stop_us):

@@ -342,7 +342,7 @@ def test_a_notebook_shows_s0_aop_and_dolp():
     picture = cv2.imdecode(np.frombuffer(frame._repr_png_(), np.uint8), 1)
     seen = {tuple(colour) for colour in picture.reshape(-1, 3).tolist()}
     assert tuple(render.aop_bgr([[0.0]])[0, 0].tolist()) in seen
-    assert render.INVALID in seen
+    assert render.INVALID[0] in seen
     # Colours fade below a DoLP of .25.
     weak = np.sqrt(0.02) / 0.25 * render.aop_bgr([[np.deg2rad(157.5)]])[0, 0]
     assert min(np.abs(np.array(sorted(seen)) - weak).max(1)) <= 1

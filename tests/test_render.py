@@ -85,7 +85,7 @@ def test_unusable_pixels_have_their_own_colour(colour):
     before = image.copy()
     picture = colour(image, valid)
     assert picture.dtype == np.uint8
-    assert (picture == render.INVALID).all(axis=-1).tolist() == [
+    assert reference.hatched(picture).tolist() == [
         [False, True, False, True]]
     np.testing.assert_array_equal(image, before)
     assert colour(image)[0, 0].tolist() == picture[0, 0].tolist()
@@ -95,7 +95,7 @@ def test_unusable_pixels_have_their_own_colour(colour):
 
 def test_an_infinite_angle_is_none_and_an_infinite_intensity_is_white():
     infinite = np.array([[np.inf, -np.inf]])
-    assert (render.aop_bgr(infinite) == render.INVALID).all()
+    assert reference.hatched(render.aop_bgr(infinite)).all()
     assert render.grey_bgr(infinite, 1.0)[0, :, 0].tolist() == [255, 0]
     assert render.ToneCurve(1.0).bgr(infinite)[0, :, 0].tolist() == [255, 0]
 
@@ -107,7 +107,8 @@ def test_colour_kernels_match_reference(name, dtype):
     table = rng.integers(0, 256, (1532, 4), np.uint8)
     kernel, twin = getattr(_kernels, name), getattr(reference, name)
     # beyond 256 pixels a row goes by blocks
-    for shape in ((0, 0), (0, 3), (3, 0), (1, 1), (1, 7), (3, 256), (2, 257), (5, 700)):
+    for shape in ((0, 0), (0, 3), (3, 0), (1, 1), (1, 7), (3, 256), (2, 257), (5, 700),
+                  (40, 514)):
         plane = rng.normal(20, 30, shape).astype(dtype)
         odd = np.array([np.nan, np.inf, -np.inf, -0.0, 1e30], dtype)
         plane.reshape(-1)[:5] = odd[:plane.size]
@@ -133,8 +134,8 @@ def test_colour_kernels_match_reference(name, dtype):
 @pytest.mark.parametrize(("change", "message"), [
     ({1: np.zeros((2, 5), np.uint8)}, "valid must be empty or have the size"),
     ({1: np.zeros((3, 3), np.uint8)}, "valid must be empty or have the size"),
-    ({4: np.zeros((2, 4), np.uint8)}, r"table must be \(n \+ 2, 4\)"),
-    ({4: np.zeros((9, 3), np.uint8)}, r"table must be \(n \+ 2, 4\)"),
+    ({4: np.zeros((4, 4), np.uint8)}, r"table must be \(n \+ 4, 4\)"),
+    ({4: np.zeros((9, 3), np.uint8)}, r"table must be \(n \+ 4, 4\)"),
     ({5: np.zeros((2, 2, 3), np.uint8)}, "out must be"),
     ({5: np.zeros((1, 3, 3), np.uint8)}, "out must be"),
     ({5: np.zeros((2, 3, 4), np.uint8)}, "out must be"),
@@ -225,8 +226,8 @@ def test_drawing_polarization_at_once_matches_reference(shape):
     ({1: np.zeros((5, 2), np.uint8)}, r"valid must be empty or \(h, w\)"),
     ({3: np.zeros(40, np.float32)}, "scratch"),
     ({6: np.zeros((9, 3), np.uint8)}, "table must be"),
-    ({8: np.zeros((2, 4), np.uint8)}, "table must be"),
-    ({10: np.zeros((2, 4), np.uint8)}, "table must be"),
+    ({8: np.zeros((4, 4), np.uint8)}, "table must be"),
+    ({10: np.zeros((4, 4), np.uint8)}, "table must be"),
     ({11: np.zeros((2, 4, 3), np.uint8)}, "out must be"),
     ({12: np.zeros((3, 5, 3), np.uint8)}, "out must be"),
     ({13: np.zeros((2, 5, 4), np.uint8)}, "out must be"),
@@ -309,7 +310,7 @@ def test_what_saturates_is_white_and_what_is_too_dark_is_no_data():
     valid = np.array([[False, False, True, False]])
     seen = render.grey_bgr(value, 60.0, valid, saturated=18.0)[0]
     assert seen[1:3, 0].tolist() == [255, 128]
-    assert (seen[[0, 3]] == render.INVALID).all()
+    assert reference.hatched(seen[None])[0].tolist() == [True, False, False, True]
 
 
 @pytest.mark.parametrize("shape", [(2, 4), (3, 4, 3), (1, 1), (173, 131, 3)])
@@ -352,4 +353,4 @@ def test_pixels_without_an_angle_are_drawn_at_once():
     """np.take's wrap mode counts its way down from the index of a NaN: never ends."""
     aop = np.full((260, 346), np.nan)
     aop[0, 0] = np.inf
-    assert (render.aop_bgr(aop) == render.INVALID).all()
+    assert reference.hatched(render.aop_bgr(aop)).all()

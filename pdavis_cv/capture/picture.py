@@ -122,7 +122,7 @@ def colour(frame: PolarFrame, output: Output, curve: ToneCurve) -> NDArray[np.ui
     Returns
     -------
     ndarray of uint8, shape (H, W, 3)
-        BGR.  Pixels that are not valid are `render.INVALID`, and of intensities, which
+        BGR.  Pixels that are not valid are hatched, and of intensities, which
         stay grey for detectors, black.
 
     Raises

@@ -9,7 +9,15 @@ from typing import Any
 from pdavis_cv._beside import write_beside
 from pdavis_cv._types import Facts
 from pdavis_cv.export.provenance import embed_png, to_json
-from pdavis_cv.render import INVALID, LIGHT, Panel, Style, aop_legend, bar_legend
+from pdavis_cv.render import (
+    FULL_COLOUR_DOLP,
+    LIGHT,
+    Panel,
+    Style,
+    aop_legend,
+    bar_legend,
+    hatch,
+)
 from pdavis_cv.render.colours import Picture
 
 __all__ = ["FIGURES", "write_figure"]
@@ -116,7 +124,8 @@ class _Page:
             self._image(bar_legend(_FINE * 4, _FINE // 4, kind=panel.legend),
                         left, below, bar, _BAR)
             self._text(panel.start, left, below + _BAR, bar / 3)
-            self._text(panel.end, left + bar, below + _BAR, bar * 2 / 3, align="right")
+            self._text(panel.end or "1", left + bar, below + _BAR, bar * 2 / 3,
+                       align="right")
             below += _BAR + _LINE
         self._swatch(left, below)
 
@@ -132,14 +141,12 @@ class _Page:
                 ("0°", middle + _WHEEL + 0.5, side + _WHEEL - _LINE, "left")):
             self._text(text, x, y, 6, align=align)
         if panel.legend != "aop":
-            self._text(f"DoLP {panel.end} at the rim", left, side + _WHEEL, self.width)
+            end = panel.end or f"{FULL_COLOUR_DOLP:g}"
+            self._text(f"DoLP {end} at the rim", left, side + _WHEEL, self.width)
         return side + _WHEEL + _LINE
 
     def _swatch(self, left: float, top: float) -> None:
-        from matplotlib.patches import Rectangle
-        colour = tuple(part / 255 for part in INVALID[::-1])
-        axes = self._axes(left, top + 0.7, _BAR, _BAR)
-        axes.add_patch(Rectangle((0, 0), 1, 1, color=colour))
+        self._image(hatch(10, 10), left, top + 0.7, _BAR, _BAR)
         self._text("not valid", left + _BAR + 0.7, top, self.width - _BAR)
 
     def _axes(self, left: float, top: float, width: float, height: float) -> Any:

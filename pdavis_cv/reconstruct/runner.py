@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._opencv import opencv
 from pdavis_cv.reconstruct.onnx import INPUTS, OUTPUTS, network_onnx
 from pdavis_cv.reconstruct.weights import Weights
 
@@ -101,8 +102,7 @@ def _onnxruntime(model: bytes, threads: int) -> Runner:
 
 
 def _cv2(model: bytes) -> Runner:
-    cv2: Any = importlib.import_module("cv2")
-    net = cv2.dnn.readNetFromONNX(np.frombuffer(model, np.uint8))
+    net = opencv().dnn.readNetFromONNX(np.frombuffer(model, np.uint8))
 
     def run(x: Array, h1: Array, h2: Array) -> tuple[Array, Array, Array]:
         for name, value in zip(INPUTS, (x, h1, h2), strict=True):

@@ -10,6 +10,7 @@ from pdavis_cv.render.colours import (
     dolp_bgr,
     fade,
     grey_bgr,
+    hatch,
 )
 from pdavis_cv.render.layouts import (
     fan_sheet,
@@ -71,6 +72,7 @@ __all__ = [
     "fade_aop",
     "fan_sheet",
     "grey_bgr",
+    "hatch",
     "known_aop",
     "opencv",
     "panel",

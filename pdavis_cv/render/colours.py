@@ -25,14 +25,18 @@ __all__ = [
     "dolp_bgr",
     "fade",
     "grey_bgr",
+    "hatch",
 ]
 
 Picture = NDArray[np.uint8]
+Mark = tuple[int, int, int] | tuple[tuple[int, int, int], tuple[int, int, int]]
 
-INVALID = (200, 40, 20)
-"""Colour of pixels that are not valid, BGR: a blue that is far from all colours of
-data, also of faded ones, and for eyes that do not tell red from green."""
+INVALID = ((64, 32, 32), (108, 76, 72))
+"""The colours, BGR, of the stripes that mark pixels that are not valid.
 
+Stripes, because faded data have any quiet colour; slate blue, so that a single pixel is
+neither a grey nor a colour of DoLP.
+"""
 
 MASKED = (96, 96, 96)
 """Colour of valid pixels whose AoP the user does not want to see, BGR."""
@@ -49,8 +53,7 @@ _VIRIDIS = np.array([
 
 
 def table_of(
-    colours: NDArray[np.uint8], none: tuple[int, int, int] = INVALID,
-    invalid: tuple[int, int, int] = INVALID,
+    colours: NDArray[np.uint8], none: Mark = INVALID, invalid: Mark = INVALID,
 ) -> NDArray[np.uint8]:
     """Return a table of colours for the kernels.
 
@@ -58,23 +61,23 @@ def table_of(
     ----------
     colours : ndarray of uint8, shape (N, 3)
         BGR.
-    none, invalid : (int, int, int)
-        Colours of NaN and of pixels that are not valid.
+    none, invalid : (int, int, int), or two of them
+        Colours of NaN and of pixels that are not valid; of two colours, stripes.
 
     Returns
     -------
-    ndarray of uint8, shape (N + 2, 4)
+    ndarray of uint8, shape (N + 4, 4)
         The last byte of each colour is unused.
     """
-    table = np.zeros((len(colours) + 2, 4), np.uint8)
-    table[:-2, :3], table[-2, :3], table[-1, :3] = colours, none, invalid
+    table = np.zeros((len(colours) + 4, 4), np.uint8)
+    table[:-4, :3], table[-4::2, :3], table[-3::2, :3] = colours, none, invalid
     return table
 
 
 _GREYS = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
 _HUES = {"even": table_of(even_hues()), "hsv": table_of(hsv_hues())}
 HUE_TABLE = _HUES["even"]
-AOP_SCALE = (len(HUE_TABLE) - 2) / np.pi
+AOP_SCALE = (len(HUE_TABLE) - 4) / np.pi
 GREY_TABLE = table_of(_GREYS)
 SEEN_TABLE = table_of(_GREYS, invalid=(255, 255, 255))
 DOLP_TABLE = table_of(np.stack([
@@ -94,7 +97,7 @@ def aop_bgr(
         Radians; reddish brown at 0 and at pi, yellow-green at 45 degrees, light blue
         at 90, violet at 135.
     valid : ndarray of bool, shape (H, W), optional
-        Pixels that are False become `INVALID`.
+        Pixels that are False are hatched; see `INVALID`.
     out : ndarray of uint8, shape (H, W, 3), optional
         Overwritten and returned; may be a part of a larger picture.
     colours : {"even", "hsv"}
@@ -119,7 +122,7 @@ def aop_bgr(
                          "np.radians")
     table = _HUES[colours]
     return through_table(
-        _kernels.hue_bgr, plane, valid, (len(table) - 2) / np.pi, table, out=out)
+        _kernels.hue_bgr, plane, valid, (len(table) - 4) / np.pi, table, out=out)
 
 
 def dolp_bgr(
@@ -133,7 +136,7 @@ def dolp_bgr(
     dolp : array_like of float, shape (H, W)
         Values outside 0..top have the colour of the nearer end.
     valid : ndarray of bool, shape (H, W), optional
-        Pixels that are False become `INVALID`.
+        Pixels that are False are hatched; see `INVALID`.
     top : float
         DoLP of the brightest colour.
     out : ndarray of uint8, shape (H, W, 3), optional
@@ -162,11 +165,11 @@ def grey_bgr(
     white : float
         Intensity that becomes 255, in the same unit; above it stays 255.
     valid : ndarray of bool, shape (H, W), optional
-        Pixels that are False become `INVALID`, or white; see `saturated`.
+        Pixels that are False are hatched, or white; see `saturated`.
     saturated : float, optional
         Intensity above which pixels that are not valid are taken as saturated and shown
         white: their value is a lower bound and might look darker than its neighbours.
-        Below it, they become `INVALID`.
+        Below it, they are hatched.
     out : ndarray of uint8, shape (H, W, 3), optional
         As for `aop_bgr`.
 
@@ -218,6 +221,11 @@ def fade(
         np.ascontiguousarray(weight, np.float32), kept, 1 / top, ground, picture)
 
 
+def hatch(height: int, width: int) -> Picture:
+    """Return a picture of pixels that are not valid, as in a legend."""
+    return grey_bgr(np.full((height, width), np.nan, np.float32), 1.0)
+
+
 def one_plane(name: str, values: ArrayLike) -> NDArray[Any]:
     """Return values as an array, or raise an error that says what they are instead."""
     if isinstance(values, PolarFrame):
@@ -247,11 +255,11 @@ def through_table(
         True = usable.
     scale : float
         Factor by which the kernel multiplies values.
-    table : ndarray of uint8, shape (N + 2, 4)
+    table : ndarray of uint8, shape (N + 4, 4)
         See `table_of`.
     least : float, optional
-        Pixels that are not valid have the table's last colour from here on, and the
-        last but one below; default: the last.
+        Pixels that are not valid have the colour `invalid` of `table_of` from here on,
+        and `none` below; default: `invalid`.
     out : ndarray of uint8, shape (H, W, 3), optional
         Overwritten and returned; pixels of a row must be contiguous.
 

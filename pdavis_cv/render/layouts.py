@@ -10,7 +10,6 @@ from pdavis_cv._opencv import opencv
 from pdavis_cv._types import Image
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render.colours import (
-    FULL_COLOUR_DOLP,
     MASKED,
     Picture,
     aop_bgr,
@@ -78,7 +77,7 @@ def summary(image: PolarFrame) -> Picture:
         panel(grey.bgr(image.s0, image.valid), "S0", legend="grey",
               end=f"{grey.white:.4g}", scale=scale, style=style),
         panel(colour, "AoP, black where DoLP is 0", legend="faded",
-              end=f"{FULL_COLOUR_DOLP:g}", scale=scale, style=style),
+              scale=scale, style=style),
         panel(dolp_bgr(image.dolp, image.valid), "DoLP", legend="dolp", scale=scale,
               style=style)], columns=3, style=style)
 

@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from pdavis_cv._opencv import opencv
 from pdavis_cv._types import Image
-from pdavis_cv.render.colours import INVALID, Picture, aop_bgr, dolp_bgr, fade, grey_bgr
+from pdavis_cv.render.colours import (
+    FULL_COLOUR_DOLP,
+    Picture,
+    aop_bgr,
+    dolp_bgr,
+    fade,
+    grey_bgr,
+    hatch,
+)
 
 __all__ = [
     "DARK",
@@ -122,7 +130,7 @@ def bar_legend(width: int, height: int, *, kind: str = "dolp") -> Picture:
 
 def panel(
     picture: Picture, title: str, *, legend: str | None = None, start: str = "0",
-    end: str = "1", scale: int = 1, style: Style = DARK,
+    end: str = "", scale: int = 1, style: Style = DARK,
 ) -> Picture:
     """Put a title above a picture and the legend of its colours below it.
 
@@ -137,7 +145,7 @@ def panel(
         and in those of HSV, faded by DoLP.
     start, end : str
         Values at the ends of the bar, e.g. ``"36 DN/ms"``; for a wheel, `end` is the
-        DoLP at the rim.
+        DoLP at the rim.  Default 1, and that of `fade` for a wheel.
     scale : int
         Each pixel of the picture becomes a square of this side.
     style : Style
@@ -152,9 +160,9 @@ def panel(
         picture = picture.repeat(scale, axis=0).repeat(scale, axis=1)
     parts = [_line(title, style), picture]
     if legend in ("aop", "faded", "hsv"):
-        parts.append(_aop_strip(legend, end, style))
+        parts.append(_aop_strip(legend, end or f"{FULL_COLOUR_DOLP:g}", style))
     elif legend is not None:
-        parts.append(_bar_strip(legend, start, end, style))
+        parts.append(_bar_strip(legend, start, end or "1", style))
     return stack(parts, style=style)
 
 
@@ -301,10 +309,11 @@ def _line(text: str, style: Style = DARK) -> Picture:
 
 
 def _swatch(style: Style) -> Picture:
-    """Return the line that explains the colour of pixels that are not valid."""
+    """Return the line that explains the mark of pixels that are not valid."""
     zoom = style.zoom
     strip = stack([_line("     not valid", style)], style=style)
-    strip[5 * zoom:15 * zoom, 4 * zoom:14 * zoom] = INVALID
+    strip[5 * zoom:15 * zoom, 4 * zoom:14 * zoom] = hatch(
+        10, 10).repeat(zoom, axis=0).repeat(zoom, axis=1)
     return strip
 
 

@@ -27,7 +27,7 @@ class Panel:
     title: str
     legend: str | None = None
     start: str = "0"
-    end: str = "1"
+    end: str = ""
 
 
 class PanelSheet:

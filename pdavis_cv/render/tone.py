@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv import _kernels
 from pdavis_cv.render.colours import (
     INVALID,
+    Mark,
     Picture,
     table_of,
     through_table,
@@ -137,7 +138,7 @@ class ToneCurve:
 
     def bgr(
         self, intensity: ArrayLike, valid: NDArray[np.bool_] | None = None, *,
-        invalid: tuple[int, int, int] = INVALID,
+        invalid: Mark = INVALID,
     ) -> Picture:
         """Return a grey picture.
 
@@ -147,8 +148,8 @@ class ToneCurve:
             In the unit of ``white``.
         valid : ndarray of bool, shape (H, W), optional
             True = usable.
-        invalid : (int, int, int)
-            BGR of pixels that are not valid, and of NaN.
+        invalid : (int, int, int), or two of them
+            BGR of pixels that are not valid, and of NaN; of two, stripes.
 
         Returns
         -------
@@ -173,7 +174,7 @@ class ToneCurve:
         -------
         ndarray of uint8, shape (H, W, 3)
             BGR; pixels that are not valid are white from ``saturated`` on, and
-            `INVALID` below.
+            hatched below.
         """
         if self.saturated is None:
             return self.bgr(intensity, valid)
@@ -182,8 +183,7 @@ class ToneCurve:
 
     def _through(
         self, intensity: ArrayLike, valid: NDArray[np.bool_] | None,
-        none: tuple[int, int, int], invalid: tuple[int, int, int],
-        least: float | None = None,
+        none: Mark, invalid: Mark, least: float | None = None,
     ) -> Picture:
         return through_table(
             _kernels.tone_bgr, intensity, valid, (_STEPS - 1) ** 2 / self.white,
@@ -191,7 +191,5 @@ class ToneCurve:
 
 
 @functools.lru_cache(16)
-def _table(
-    curve: ToneCurve, none: tuple[int, int, int], invalid: tuple[int, int, int]
-) -> NDArray[np.uint8]:
+def _table(curve: ToneCurve, none: Mark, invalid: Mark) -> NDArray[np.uint8]:
     return table_of(curve._colours, none, invalid)

@@ -50,7 +50,7 @@ def _numbers(count: int, parts: int) -> NDArray[np.uint8]:
     return table_of(np.repeat(number[:, None], 3, axis=1), (NONE,) * 3, (NONE,) * 3)
 
 
-_HUES = _numbers(len(HUE_TABLE) - 2, _HIDDEN)
+_HUES = _numbers(len(HUE_TABLE) - 4, _HIDDEN)
 _RAMP = _numbers(_PARTS, _PARTS)
 
 
@@ -159,16 +159,18 @@ def palettes() -> dict[str, Any]:
     dict
         ``quantities``: name, symbol, title, unit, colours and the texts at the ends of
         the legend of each; ``colours``: 256 colours of a plane's numbers, by the name
-        of the colours; ``full_dolp``: DoLP from which AoP has its full colour.
+        of the colours; ``stripes``: the two colours of pixels that are not valid;
+        ``full_dolp``: DoLP from which AoP has its full colour.
     """
     middle = (np.arange(_HIDDEN, dtype=np.float32) + 0.5) * np.float32(
         math.pi / _HIDDEN)
     steps = np.arange(_PARTS, dtype=np.float32) / np.float32(_PARTS - 1)
+    stripes = [[*colour[::-1]] for colour in INVALID]
     tones = [[grey] * 3 for grey in range(256)]
 
     def rgb(colours: NDArray[np.uint8]) -> list[list[int]]:
         found: list[list[int]] = colours[0, :, ::-1].tolist()
-        return [*found, [*INVALID[::-1]]]
+        return [*found, stripes[0]]
 
     return {
         "quantities": [
@@ -180,7 +182,7 @@ def palettes() -> dict[str, Any]:
                         aop_bgr(middle[None]), np.zeros((1, 1, 3), np.uint8), 1)),
                     "viridis": rgb(dolp_bgr(steps[None])),
                     "grey": rgb(grey_bgr(steps[None], 1.0))},
-        "full_dolp": FULL_COLOUR_DOLP}
+        "stripes": stripes, "full_dolp": FULL_COLOUR_DOLP}
 
 
 def _ends(one: Quantity) -> list[str]:

@@ -16,7 +16,7 @@ function made(kind, inside, words = {}) {
 }
 
 // Tables from a plane's number to a pixel of a canvas; of AoP, by DoLP's number too.
-function makeColours({colours: given, full_dolp: full}) {
+function makeColours({colours: given, stripes, full_dolp: full}) {
   const word = ([r, g, b], part) => (0xff000000 | Math.round(b * part) << 16
     | Math.round(g * part) << 8 | Math.round(r * part)) >>> 0;
   colours = {};
@@ -28,6 +28,7 @@ function makeColours({colours: given, full_dolp: full}) {
     for (let a = 0; a < 256; a++)
       faded[d << 8 | a] = word(lists.hue[a], a === 255 ? 1 : Math.min(d / 254 / full, 1));
   colours.hue = faded;
+  colours.stripes = stripes.map(colour => word(colour, 1));
 }
 
 function makeFigures(quantities) {
@@ -97,6 +98,13 @@ function draw(name, {width, height}, planes) {
     for (let i = 0; i < words.length; i++) words[i] = table[dolp[i] << 8 | pixels[i]];
   } else {
     for (let i = 0; i < words.length; i++) words[i] = table[pixels[i]];
+  }
+  if (one.facts.colours !== "tone") {     // what is not valid is hatched, as in files
+    let shift = 1;
+    while (width >> shift > 256) shift++;
+    for (let y = 0, i = 0; y < height; y++)
+      for (let x = 0; x < width; x++, i++)
+        if (pixels[i] === 255) words[i] = colours.stripes[x + y >> shift & 1];
   }
   one.context.putImageData(one.image, 0, 0);
 }
