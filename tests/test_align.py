@@ -74,6 +74,22 @@ def test_equal_cycles_are_called_ambiguous_and_an_expected_offset_helps():
     assert np.max(np.abs(errors_ms(clock, 27))) < 2
 
 
+@pytest.mark.parametrize("expected", [0.0, 1 / 3, -0.17])
+def test_of_equal_cycles_the_nearest_of_the_stated_sign_is_taken(expected):
+    rng = np.random.default_rng(5)
+    own = np.arange(0, 6, 0.001)
+    load = LoadTrace(own, np.sin(2 * np.pi * 3 * own))
+    t = np.arange(0, 6, 0.04)
+    v = np.sin(2 * np.pi * 3 * t) + rng.normal(0, 0.01, len(t))
+    times = EPOCH + np.rint(t * 1e6).astype(np.int64)
+    with pytest.warns(AnalysisWarning, match="fits nearly as well"):
+        clock = align_by_correlation(
+            times, v, load, sign=1, expected_s=expected, within_s=0.5)
+    nearest = round(expected * 3) / 3
+    assert clock.offset_s == pytest.approx(nearest, abs=2e-3)
+    assert clock.offset_se_s > 0.3      # the next one is a period away
+
+
 def test_of_equal_cycles_the_widest_overlap_is_taken():
     rng = np.random.default_rng(2)
     own = np.arange(0, 6, 0.001)
@@ -147,6 +163,16 @@ def test_triggers_that_do_not_match_are_refused():
         align_by_triggers([], [0.0])
 
 
+def test_evenly_spaced_triggers_of_which_some_are_missing_are_called_ambiguous():
+    pulses = np.arange(20) * 0.5
+    ours = np.rint(1e6 * pulses).astype(np.int64)
+    assert align_by_triggers(ours, pulses).offset_s == 0
+    with pytest.warns(AnalysisWarning, match="also match with an offset of"):
+        clock = align_by_triggers(ours, pulses[:-2])
+    assert clock.offset_se_s >= 0.5
+    assert abs(clock.offset_s) <= 2 * clock.offset_se_s
+
+
 def test_a_stated_offset_is_taken_as_it_is():
     clock = align_by_offset(EPOCH, OFFSET, skew_ppm=50)
     moved = clock.counted_from(EPOCH - 3_000_000)
@@ -178,6 +204,8 @@ def test_the_loop_of_an_ellipse_has_its_area_and_its_sense():
     "time_s\tforce_N\tdisplacement_mm\n0\t1\t.005\n.01\t2\t.006\n.02\t3\t.007\n",
     "Elapsed [s],Force [N],Displacement [mm],Note\n0,1,.005,\n.01,2,.006,x\n"
     ".02,3,.007,\n",
+    "Zeit [s];Kraft [N];Weg [mm]\n0;1;0,005\n0,01;2;0,006\n0,02;3;0,007\n",
+    "t_ms,F_N,x (mm)\n0,1,.005\n10,2,.006\n20,3,.007\n",
 ])
 def test_dialects_and_units_are_understood(tmp_path, text):
     path = tmp_path / "load.csv"
@@ -214,6 +242,7 @@ def test_triggers_of_a_file_are_where_the_level_rises(tmp_path):
     ("time (s),force\n0,1\n1,2\n", "column 'force': .* the header names none"),
     ("time (h),force (N)\n0,1\n1,2\n", "the unit must be one of s, ms, us, min"),
     ("a,b\n0,1\n", "no header line with a time column"),
+    ("temp,fluff,xy\n0,1,2\n", "time: time, elapsed, timestamp, zeit, t [(]s, ms, us"),
     ("", "no header line"),
     ("time (s),force (N)\n0,1\n2,2\n1,3\n", "line 4: time must increase, got 1 s"),
     ("time (s),force (N)\nx,y\n0,1\n", "fewer than two rows"),

@@ -155,7 +155,7 @@ def test_tendon_finds_the_load_and_writes_everything(
     out = tmp_path / "out"
     assert tendon.main([
         "a", "-o", str(out), "--region", "fibre=8,6,16,12", "--fps", "100",
-        "--load", str(tmp_path / "load.csv"), "--offset", "0.2", "--within", "0.08",
+        "--load", str(tmp_path / "load.csv"), "--offset", "0.2",
         "--thickness-um", "300", "--wavelength-nm", "530"]) == 0
     text = capsys.readouterr().out
     hz = float(re.search(r"fibre: ([\d.]+) ", text).group(1))
@@ -163,16 +163,16 @@ def test_tendon_finds_the_load_and_writes_everything(
     assert zero == pytest.approx(0.2, abs=0.002)
     assert hz == pytest.approx(5.0, rel=0.005)
     table = pandas.read_csv(out / "traces.csv")
-    images = list(fuse(recording, fps=100, mode="offline", noise=(0.02, 3.0, 0.02)))
+    images = list(fuse(recording, fps=100))
     mean = [[float(p[6:18, 8:24].mean(dtype=float)) for p in (f.s0, f.s1, f.s2)]
             for f in images if f.valid[6:18, 8:24].all()]
     s0, s1, s2 = np.array(mean).T
     np.testing.assert_allclose(
         table["dolp"][-len(s0):], np.hypot(s1, s2) / s0, rtol=1e-5)
     delta = np.arcsin(table["dolp"])
-    np.testing.assert_allclose(table["retardance_deg"], np.rad2deg(delta), rtol=1e-9)
+    np.testing.assert_allclose(table["retardance_deg"], np.rad2deg(delta), rtol=1e-5)
     np.testing.assert_allclose(
-        table["birefringence"], delta * 0.530 / (2 * np.pi * 300), rtol=1e-9)
+        table["birefringence"], delta * 0.530 / (2 * np.pi * 300), rtol=1e-5)
     assert table["force_n"].between(19, 31).sum() > 100
     with np.load(out / "lockin.npz") as maps:
         assert maps["amplitude"].shape == maps["mean_dolp"].shape == (24, 32)
@@ -190,33 +190,25 @@ def test_tendon_finds_the_load_and_writes_everything(
                      "tendon.webm", "report.html"}
 
 
-@pytest.mark.gate
-def test_tendon_takes_the_usual_bandwidth_where_frames_are_locked_to_the_load(
-        tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(("given", "zero", "loop"), [
+    (["--offset", "0.2"], 0.2, True),
+    (["--offset", "0.2", "--within", "0.15"], 0.2, False),
+    (["--offset", "0.2", "--within", "0.15", "--load-sign", "-1"], 0.1, False)])
+def test_only_a_known_offset_gives_a_loop(
+        tmp_path, pulled, monkeypatch, capsys, given, zero, loop):
     pytest.importorskip("matplotlib")
-    scene = Tendon(hz=10.0)
-    recording, _ = Camera.preset("nominal", seed=5, size=(20, 24)).record(scene, 2.2)
+    recording, _, scene = pulled
     load_csv(tmp_path / "load.csv", scene)
     opens_by(monkeypatch, opener({"a": recording}))
-    error = {}
-    for name, options, hz in (("usual", [], 300), ("stated", ["240,0"], 240)):
-        given = [f"--set=bandwidth={text}" for text in options]
-        assert tendon.main([
-            "a", "-o", str(tmp_path), "--no-video", "--start", "0.15", "--load",
-            str(tmp_path / "load.csv"), "--offset", "0.2", "--within", "0.04",
-            *given]) == 0
-        said = capsys.readouterr()
-        assert ("locked to the load's phase" in said.err) is (not options)
-        zero = re.search(r"its zero lies at ([\d.]+) s \(\+- ([\d.]+) ms", said.out)
-        # A hundredth of a cycle; and the usual lag may be exp(1.5) times as long.
-        lag = 1e3 / (2 * np.pi * 300) * np.expm1(1.5) if name == "usual" else 0
-        assert float(zero.group(2)) == pytest.approx(np.hypot(1, lag), rel=0.05)
-        error[name] = float(zero.group(1)) + recording.info.start_us / 1e6 - 0.2
-        with np.load(tmp_path / "lockin.npz") as maps:
-            facts = json.loads(str(maps["provenance"]))
-        assert facts["parameters"]["bandwidth"][:2] == [hz, 0]
-    assert abs(error["usual"]) < 1e-3
-    assert error["stated"] < error["usual"]  # more lag is taken out
+    assert tendon.main(["a", "-o", str(tmp_path), "--no-video", "--fps", "50", "--load",
+                        str(tmp_path / "load.csv"), *given]) == 0
+    said = capsys.readouterr()
+    found = float(re.search(r"its zero lies at ([\d.]+) s", said.out).group(1))
+    found += recording.info.start_us / 1e6
+    assert found == pytest.approx(zero, abs=0.003) or (
+        "-1" in given and found == pytest.approx(0.3, abs=0.003))
+    assert (tmp_path / "loop.csv").exists() == loop
+    assert ("lag and hysteresis cannot be told" in said.err) != loop
 
 
 @pytest.mark.gate
@@ -295,6 +287,7 @@ def test_tendon_warns_where_frames_alias_and_not_where_they_do_not(
     (["--load", "late.csv", "--align", "offset", "--offset", "0"],
      "no sample falls on the recording; its clock may be another"),
     (["--align", "offset", "--load", "late.csv"], "--align offset needs --offset"),
+    (["--offset", "0,5"], "a decimal point is needed, got '0,5'"),
     (["--thickness-um", "300"], "belong together"),
 ])
 def test_mistakes_give_one_line_and_2_and_no_report(

@@ -20,7 +20,7 @@ def traces():
     return recorder.traces()
 
 
-def test_pandas_reads_traces_back_exactly(tmp_path, traces):
+def test_pandas_reads_traces_back_to_seven_digits(tmp_path, traces):
     pandas = pytest.importorskip("pandas")
     path = tmp_path / "traces.csv"
     write_traces(path, traces, origin_us=10**15, extra={"force_n": [1, 2, np.nan, 4]})
@@ -30,16 +30,26 @@ def test_pandas_reads_traces_back_exactly(tmp_path, traces):
         rows = table[table["roi"] == roi]
         np.testing.assert_array_equal(rows["t_us"], traces.t_us)
         np.testing.assert_array_equal(rows["t_s"], [0, 0.01, 0.02, 0.03])
-        np.testing.assert_array_equal(rows["dolp"], traces.table["dolp"][r])
-        np.testing.assert_array_equal(rows["dolp_se"], traces.table["dolp_se"][r])
-        np.testing.assert_array_equal(
-            rows["aop_deg"], np.rad2deg(traces.table["aop"][r]))
+        for name in ("dolp", "dolp_se"):
+            np.testing.assert_allclose(rows[name], traces.table[name][r], rtol=5e-7)
+        np.testing.assert_allclose(
+            rows["aop_deg"], np.rad2deg(traces.table["aop"][r]), rtol=5e-7)
         assert rows["event_rate_hz"].isna().all()
         assert np.isnan(rows["force_n"].to_numpy()[2])
     assert json.loads((tmp_path / "traces.csv.json").read_text()) == {
         "method": "cf", "roi": [0, 0, 8, 8]}
     with pytest.raises(ValueError, match=r"x must be \(2, 4\) or \(4,\)"):
         write_traces(path, traces, extra={"x": [1, 2]})
+
+
+def test_decimal_commas_are_separated_by_semicolons(tmp_path, traces):
+    pandas = pytest.importorskip("pandas")
+    path = tmp_path / "traces.csv"
+    write_traces(path, traces, origin_us=10**15, decimal=",")
+    table = pandas.read_csv(path, sep=";", decimal=",")
+    np.testing.assert_allclose(table["t_s"][:4], [0, 0.01, 0.02, 0.03])
+    np.testing.assert_allclose(table["dolp"][:4], traces.table["dolp"][0], rtol=5e-7)
+    assert "." not in path.read_text()
 
 
 def test_jaer_files_have_jaers_header_and_one_region_each(tmp_path, traces):

@@ -37,6 +37,8 @@ MOST_S = 1e12
 def numbers(text: str, count: int, kind: Callable[[str], Any] = float) -> list[Any]:
     """Parse `count` finite numbers separated by commas."""
     parts = text.split(",")
+    if count == 1 and len(parts) == 2:
+        raise argparse.ArgumentTypeError(f"a decimal point is needed, got {text!r}")
     if len(parts) != count:
         raise argparse.ArgumentTypeError(
             f"{count} numbers with commas between them are needed, got {text!r}")

@@ -129,7 +129,7 @@ def align_by_triggers(
     One pulse on each side determines the offset.  With more pulses, the two sequences
     are matched by their intervals, and a straight line through them also gives the
     skew.  Pulses may be missing at the ends of either sequence, at most half of the
-    shorter one.
+    shorter one.  The widest match is taken.
 
     Parameters
     ----------
@@ -148,6 +148,12 @@ def align_by_triggers(
     ------
     ValueError
         If a side has no pulse, or no match lies within the tolerance.
+
+    Warns
+    -----
+    AnalysisWarning
+        If pulses are missing and another match lies within the tolerance too, as with
+        evenly spaced pulses; the standard error then covers it.
     """
     ours, theirs = np.asarray(trigger_us, np.int64), np.asarray(trigger_s, np.float64)
     for name, pulses in (("trigger_us", ours), ("trigger_s", theirs)):
@@ -161,7 +167,7 @@ def align_by_triggers(
         return Clock(origin, -float(theirs[0]), tolerance_s, how="trigger")
     fewer = min(len(ours), len(theirs))
     needed = max(2, min(3, fewer), -(-fewer // 2))
-    best: tuple[int, float, FloatArray, FloatArray] | None = None
+    matches: list[tuple[int, float, FloatArray, FloatArray]] = []
     for shift in range(1 - len(theirs), len(ours)):
         a = seconds[max(shift, 0):shift + len(theirs)]
         b = theirs[max(-shift, 0):max(-shift, 0) + len(a)]
@@ -172,14 +178,22 @@ def align_by_triggers(
         worst = float(np.max(np.abs(a - line[0] - line[1] * b)))
         if abs(line[1] - 1) > 0.01 or worst > tolerance_s:
             continue
-        if best is None or (-len(a), worst) < (-best[0], best[1]):
-            best = len(a), worst, a, b
-    if best is None:
+        matches.append((-len(a), worst, a, b))
+    if not matches:
         raise ValueError(
             f"trigger_s must match trigger_us within {tolerance_s:g} s, but the "
             f"intervals of {len(theirs)} and {len(ours)} pulses do not")
-    _, _, a, b = best
+    matches.sort(key=lambda match: match[:2])
+    _, _, a, b = matches[0]
     slope, offset, slope_se, offset_se = _line(b, a)
+    if len(matches) > 1 and not len(a) == len(ours) == len(theirs):
+        _, _, c, d = matches[1]
+        other = float(c.mean() - d.mean() * slope)
+        warnings.warn(
+            f"the pulses also match with an offset of {other:.3f} s in place of "
+            f"{offset:.3f} s, as some are missing: space them unevenly",
+            AnalysisWarning, stacklevel=2)
+        offset_se = float(np.hypot(np.nan_to_num(offset_se), other - offset))
     return Clock(
         origin, offset, offset_se, (slope - 1) * 1e6, slope_se * 1e6, "trigger")
 
@@ -217,12 +231,14 @@ def align_by_correlation(
     sign : {0, 1, -1}
         1 if the trace increases with the load, -1 if it decreases, 0 if unknown.
     expected_s, within_s : float, optional
-        Expected offset from the first time of the trace, and largest deviation.
+        Expected offset from the first time of the trace, and largest deviation.  Of
+        equal solutions the nearest is taken; without them, that of the widest overlap.
 
     Returns
     -------
     Clock
-        ``origin_us`` is the first time of the trace.
+        ``origin_us`` is the first time of the trace.  If another offset fits nearly as
+        well, ``offset_se_s`` covers the nearest one.
 
     Raises
     ------
@@ -268,12 +284,13 @@ def align_by_correlation(
     if not fits:
         raise ValueError("the trace and the load must overlap in 16 samples, got fewer")
     # Candidates are compared by their residuals, not by the coarse score; if these
-    # differ only by chance, the one with the widest overlap is chosen.
+    # differ only by chance, the expected one or that of the widest overlap is chosen.
     fits.sort(key=lambda fit: -abs(fit.correlation))
     least = 1 - fits[0].correlation ** 2
     chance = max(0.15, 4 * np.sqrt(2 / max(common(fits[0].offset_s), 1)))
     equal = [fit for fit in fits if 1 - fit.correlation ** 2 <= (1 + chance) * least]
-    best = max(equal, key=lambda fit: common(fit.offset_s))
+    best = (max(equal, key=lambda fit: common(fit.offset_s)) if expected_s is None else
+            min(equal, key=lambda fit: abs(fit.offset_s - expected_s)))
     if abs(best.skew_ppm) > 0.95e6 * _MOST_SKEW:
         raise ValueError(
             "no offset explains the trace by the load: is the time of one of them in "
@@ -281,12 +298,15 @@ def align_by_correlation(
             f"would differ by {best.skew_ppm:.0f} ppm)")
     rivals = [fit for fit in equal
               if abs(fit.offset_s - best.offset_s) > 2 * np.median(np.diff(t))]
+    error = best.offset_se_s
     if rivals:
+        rival = min(rivals, key=lambda fit: abs(fit.offset_s - best.offset_s))
         warnings.warn(
-            f"an offset of {rivals[0].offset_s:.3f} s fits nearly as well as "
+            f"an offset of {rival.offset_s:.3f} s fits nearly as well as "
             f"{best.offset_s:.3f} s: give a trigger, or the offset to expect",
             AnalysisWarning, stacklevel=2)
-    return Clock(origin, best.offset_s, best.offset_se_s, best.skew_ppm,
+        error = float(np.hypot(error, rival.offset_s - best.offset_s))
+    return Clock(origin, best.offset_s, error, best.skew_ppm,
                  best.skew_se_ppm, "correlation", best.correlation)
 
 

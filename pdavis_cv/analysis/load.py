@@ -25,11 +25,13 @@ _SPELLED = {
     "displacement": "mm, um, m, in", "trigger": "V, mV or none",
 }
 _WORDS = {
-    "time": ("time", "elapsed", "timestamp"),
-    "force": ("force", "load"),
-    "displacement": ("displacement", "position", "extension", "stroke", "disp"),
+    "time": ("time", "elapsed", "timestamp", "zeit", "t"),
+    "force": ("force", "load", "kraft", "f"),
+    "displacement": ("displacement", "position", "extension", "stroke", "disp", "weg",
+                     "x"),
     "trigger": ("trigger", "ttl", "sync"),
 }
+"""Beginnings of the columns' names; a single letter is the whole name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +94,9 @@ class LoadTrace:
 def read_load(path: str | Path, *, units: dict[str, str] | None = None) -> LoadTrace:
     """Read the CSV of a test frame.
 
-    Columns are identified by words in the header (time, force or load, displacement or
-    position, trigger).  The unit follows the name in brackets or after an underscore,
-    or is in the row below.
+    The header names the columns: time, force, displacement, trigger, other words for
+    them, German ones, or t, F, x.  The unit follows the name in brackets or after an
+    underscore, or is in the row below.
 
     Parameters
     ----------
@@ -133,9 +135,11 @@ def read_load(path: str | Path, *, units: dict[str, str] | None = None) -> LoadT
     first = next((i for i, (_, row) in enumerate(rows)
                   if _classify(row)), None)
     if first is None:
+        names = "; ".join(f"{kind}: {', '.join(_WORDS[kind])} ({_SPELLED[kind]})"
+                          for kind in ("time", "force", "displacement"))
         raise ValueError(
             f"{path}: no header line with a time column and a force or displacement "
-            "column")
+            f"column; names and units that are known: {names}")
     kinds = _classify(rows[first][1])
     header = [cell.strip() for cell in rows[first][1]]
     body = rows[first + 1:]
@@ -194,7 +198,9 @@ def _classify(row: list[str]) -> dict[str, int]:
     for i, cell in enumerate(row):
         name = cell.strip().lower()
         for kind, words in _WORDS.items():
-            if kind not in kinds and re.match(rf"\W*({'|'.join(words)})", name):
+            starts = "|".join(
+                rf"{word}(?![^\W_])" if len(word) == 1 else word for word in words)
+            if kind not in kinds and re.match(rf"\W*({starts})", name):
                 kinds[kind] = i
                 break
     return kinds if "time" in kinds and ("force" in kinds or "displacement" in kinds

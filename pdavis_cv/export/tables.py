@@ -25,7 +25,7 @@ JAER_HEADER = ("lastTimestamp(s)", "ROINumPixels", "f0", "f45", "f90", "f135",
 
 def write_csv(
     path: str | os.PathLike[str], header: Sequence[str], rows: Iterable[Sequence[Any]],
-    facts: Facts | None = None,
+    facts: Facts | None = None, *, decimal: str = ".", digits: int = 17,
 ) -> None:
     """Write a table; facts go into a JSON file beside it.
 
@@ -37,9 +37,14 @@ def write_csv(
     header : sequence of str
         Names of the columns, which include units.
     rows : iterable of sequence
-        Values; floats are written with all digits, NaN as an empty cell.
+        Values; NaN is an empty cell.
     facts : mapping of str to object, optional
         Written to the path with ``.json`` added, if there are any.
+    decimal : {".", ","}
+        With commas, as spreadsheets of many countries expect them, columns are
+        separated by semicolons.
+    digits : int
+        Most significant digits of a float.
 
     Raises
     ------
@@ -48,20 +53,28 @@ def write_csv(
     """
     with write_beside(path) as part, part.open(
             "w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
+        writer = csv.writer(file, delimiter=";" if decimal == "," else ",",
+                            lineterminator="\n")
         writer.writerow(header)
         for row in rows:
-            writer.writerow([_cell(value) for value in row])
+            writer.writerow([_cell(value, decimal, digits) for value in row])
     if facts:
         target = Path(path)
         with write_beside(target.with_name(target.name + ".json")) as part:
             part.write_text(to_json(facts) + "\n", encoding="utf-8")
 
 
-def _cell(value: Any) -> Any:
+def _cell(value: Any, decimal: str, digits: int) -> Any:
     if isinstance(value, float | np.floating):
-        return repr(float(value)) if np.isfinite(value) else ""
+        if not np.isfinite(value):
+            return ""
+        text = repr(float(value) if digits >= 17 else float(f"{value:.{digits}g}"))
+        return text.replace(".", decimal)
     return value
+
+
+_DIGITS = 7
+"""Significant digits of values that come from images of float32."""
 
 
 _COLUMNS = (
@@ -78,7 +91,7 @@ _COLUMNS = (
 def write_traces(
     path: str | os.PathLike[str], traces: Traces, *, origin_us: int = 0,
     facts: Facts | None = None,
-    extra: Facts | None = None,
+    extra: Facts | None = None, decimal: str = ".",
 ) -> None:
     """Write traces as a long table, one row per region and time.
 
@@ -94,6 +107,8 @@ def write_traces(
         Written to a JSON file next to it; default: the traces' provenance.
     extra : mapping of str to array_like of shape (T,) or (R, T), optional
         Further columns.
+    decimal : {".", ","}
+        As in `write_csv`.
 
     Raises
     ------
@@ -116,11 +131,12 @@ def write_traces(
     def rows() -> Iterable[Sequence[Any]]:
         for r, roi in enumerate(traces.rois):
             for i, t in enumerate(traces.t_us.tolist()):
-                yield [roi.name, (t - origin_us) / 1e6, t,
+                yield [roi.name, repr((t - origin_us) / 1e6).replace(".", decimal), t,
                        *(values[r, i] for values in columns.values())]
 
     write_csv(path, ("roi", "t_s", "t_us", *columns), rows(),
-              traces.provenance if facts is None else facts)
+              traces.provenance if facts is None else facts, decimal=decimal,
+              digits=_DIGITS)
 
 
 def write_jaer_csv(

@@ -8,28 +8,22 @@ which contains all figures and needs no other files.
 from __future__ import annotations
 
 import argparse
-import math
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdavis_cv import (
     AnalysisWarning,
     PolarFrame,
     Recording,
-    accumulate,
     analysis,
     export,
     fuse,
     render,
 )
-from pdavis_cv.fusion import Fusion
-from pdavis_cv.selfcal import USUAL_BANDWIDTH
 
 from .._common import (
     Parser,
@@ -44,35 +38,11 @@ from .._common import (
 from .._images import facts_of, grid_times, held_at, of_frames, told_if_nothing
 from .._options import add_file, add_fuse_options, fuse_options, opened
 from .._values import number, seconds, within
-from . import report
+from . import force, report
 from .findings import Findings, MeanStokes
 from .video import TendonSheet
 
 __all__ = ["main", "measure"]
-
-
-@dataclass(frozen=True, eq=False)
-class _Busiest(analysis.Roi):
-    """The quarter of a region's pixels with the most events.
-
-    An event is delayed until the light has changed by a threshold.  That is a smaller
-    part of a cycle for pixels with many events per cycle.
-    """
-
-    counts: NDArray[np.float64] | None = None
-
-    def mask(
-        self, shape: tuple[int, int], *, origin: tuple[int, int] = (0, 0),
-        scale: int = 1,
-    ) -> NDArray[np.bool_]:
-        from scipy.ndimage import uniform_filter
-        inside = super().mask(shape, origin=origin, scale=scale)
-        assert self.counts is not None
-        x, y = origin
-        part = self.counts[y:y + shape[0] * scale, x:x + shape[1] * scale]
-        # Demosaiced pixels share samples with their neighbours.
-        near = uniform_filter(part, 3 * scale)[::scale, ::scale]
-        return np.asarray(inside & (near >= np.quantile(near[inside], 0.75)))
 
 
 @command
@@ -126,15 +96,23 @@ def _parser() -> argparse.ArgumentParser:
     load = parser.add_argument_group("load file")
     load.add_argument("--load", metavar="CSV", help="force or displacement over time")
     load.add_argument(
-        "--align", choices=("correlation", "trigger", "offset"), default="correlation",
-        help="how to align its clock; default: correlation with DoLP")
+        "--align", choices=("trigger", "offset", "correlation"),
+        help="how to align its clock; default: by triggers if both have them, by "
+             "--offset if it is given, else by correlation with DoLP")
     load.add_argument("--offset", type=seconds, metavar="S",
-                      help="time of the recording at the file's zero; with "
-                           "correlation, its expected value")
-    load.add_argument("--within", type=seconds, default=0.5, metavar="S",
-                      help="largest deviation from --offset; default 0.5")
+                      help="time of the recording at the file's zero, or that of an "
+                           "event in the recording less that in the file")
+    load.add_argument("--within", type=seconds, metavar="S",
+                      help="search by correlation within this of --offset; .5 with "
+                           "--align correlation")
+    load.add_argument("--load-sign", type=int, choices=(1, -1), default=1,
+                      help="1 if DoLP rises with the file's numbers (tension positive; "
+                           "default), -1 if it falls; for correlation")
     load.add_argument("--skew-ppm", type=number, default=0.0, metavar="PPM",
                       help="with --align offset: by how much its clock is slower")
+    parser.add_argument(
+        "--decimal", choices=(".", ","), default=".",
+        help="decimal sign of the tables; with a comma, columns are separated by ;")
     look = parser.add_argument_group("video")
     look.add_argument("--no-video", action="store_true", help="write no video")
     look.add_argument("--slow", type=number, default=4.0, metavar="FACTOR",
@@ -179,66 +157,34 @@ def measure(
     options |= {"fps": None, "start_us": None, "stop_us": None, "times_us": times}
     held = {**of_frames(options, args.settings), "hold": "mid", "times_us": None,
             "start_us": int(times[0]), "stop_us": int(times[-1]) + 1}
-    options = _patient(args, recording, options)
     background = _background(args, options)
     regions = [roi for group in args.region for roi in group]
     regions = regions or [_whole(recording, args)]
     names = [roi.name for roi in regions]
     if len(set(names)) < len(names):
         raise UsageError(f"regions must have different names, got {', '.join(names)}")
-    counts = None if load is None else _counts(recording)
-    busy = [] if counts is None or not counts.any() else [
-        _Busiest(roi.name, roi.rings, roi.rectangle, counts) for roi in regions]
     stage("traces of the fused images; estimating parameters of the camera")
-    fused, busiest = _traces(args, recording, options, regions, busy, background)
+    fused = _traces(args, recording, options, regions, background)
     assert fused is not None  # there is a time on the grid
     frames = None
     if recording.info.frame_count != 0:
-        frames, _ = _traces(args, recording, held, regions, [], background)
+        frames = _traces(args, recording, held, regions, background)
     tones = _tones(args, fused)
-    messages: list[str] = []
-    locked = frames is not None and analysis.phase_locked(
-        frames.t_us, _load_hz(args, tones))
-    stated = _not_learned(args, recording, options) if locked else {}
-    if stated:
-        options |= stated
-        fused, busiest = _traces(args, recording, options, regions, busy, background)
-        assert fused is not None
-        tones = _tones(args, fused)
-    if "bandwidth" in stated:
-        messages.append(
-            "the frames are locked to the load's phase and say nothing of the lag of "
-            f"the pixels' bandwidth: {USUAL_BANDWIDTH[0]:g} Hz is taken, as usual; "
-            "--set bandwidth=HZ,0 states another")
     facts = facts_of(recording, options, estimate=args.estimate, images_per_second=fps)
     frame_hz = np.nan
     if frames is not None and len(frames.t_us) > 1:
         frame_hz = float(1e6 / np.median(np.diff(frames.t_us)))
     found = Findings(
         start_of(recording), facts, fused, frames, tones, _load_hz(args, tones),
-        frame_hz, messages=messages, busiest=busiest)
+        frame_hz)
     _evaluate(args, found, fps)
     if load is not None:
         said = len(found.messages)
-        _align(args, recording, found, load)
+        force.align(args, recording, found, load)
         for message in found.messages[said:]:
             warnings.warn(message, AnalysisWarning, stacklevel=2)
     _maps_and_video(args, recording, options, held, found)
     return found
-
-
-# The sample moves little during an exposure, so frames are sharp: their error after
-# de-blurring is 2 % instead of 5 %, and events have a smaller weight.
-_NOISE = (0.02, 3.0, 0.02)
-
-
-def _patient(
-    args: argparse.Namespace, recording: Recording, options: dict[str, Any]
-) -> dict[str, Any]:
-    """Use frames after an image to correct it too, unless other options are given."""
-    if args.causal or "noise" not in Fusion(recording, **options).needs.learned:
-        return options
-    return {"mode": "offline", "noise": _NOISE, **options}
 
 
 def _whole(recording: Recording, args: argparse.Namespace) -> analysis.Roi:
@@ -247,31 +193,19 @@ def _whole(recording: Recording, args: argparse.Namespace) -> analysis.Roi:
     return analysis.Roi.from_rectangle(x, y, w, h, "all")
 
 
-def _counts(recording: Recording) -> NDArray[np.float64]:
-    """Return the events of each pixel."""
-    counts = np.zeros(recording.info.sensor_size)
-    for packet in recording.packets():
-        counts += accumulate(packet.events, recording.info.sensor_size).sum(0)
-    return counts
-
-
 def _traces(
     args: argparse.Namespace, recording: Recording, options: dict[str, Any],
-    regions: Sequence[analysis.Roi], busy: Sequence[_Busiest], background: Any,
-) -> tuple[analysis.Traces | None, analysis.Traces | None]:
-    """Record traces of the regions, and of the busiest pixels of each if requested."""
+    regions: Sequence[analysis.Roi], background: Any,
+) -> analysis.Traces | None:
+    """Record traces of the regions."""
     recorder = analysis.TraceRecorder(
         regions, estimate=args.estimate, background=background)
-    busiest = analysis.TraceRecorder(busy, background=background) if busy else None
     times = options["times_us"]
     images = told_if_nothing(
         fuse(recording, **options), recording, options["calibration"])
     for image in progress(images, None if times is None else len(times), "images"):
         recorder.add(image)
-        if busiest is not None:
-            busiest.add(image)
-    return (recorder.traces(recording) if recorder.count else None,
-            None if busiest is None else busiest.traces())
+    return recorder.traces(recording) if recorder.count else None
 
 
 def _tones(args: argparse.Namespace, fused: analysis.Traces) -> list[analysis.Tone]:
@@ -285,20 +219,6 @@ def _tones(args: argparse.Namespace, fused: analysis.Traces) -> list[analysis.To
 def _load_hz(args: argparse.Namespace, tones: Sequence[analysis.Tone]) -> float:
     best = min(tones, key=lambda tone: tone.hz_se / tone.hz)
     return float(args.load_hz or best.hz)
-
-
-def _not_learned(
-    args: argparse.Namespace, recording: Recording, options: dict[str, Any]
-) -> dict[str, Any]:
-    """Return options with which fuse() does not estimate times from the data."""
-    if args.causal or "bandwidth" not in Fusion(recording, **options).needs.learned:
-        return {}
-    stated: dict[str, Any] = {}
-    if "bandwidth" not in options:
-        stated["bandwidth"] = USUAL_BANDWIDTH
-    if options.get("clock_offset_us") == "learned":
-        stated["clock_offset_us"] = None
-    return stated
 
 
 def _background(args: argparse.Namespace, options: dict[str, Any]) -> Any:
@@ -350,94 +270,6 @@ def _evaluate(args: argparse.Namespace, found: Findings, fps: float) -> None:
         found.drifts.append(analysis.cycle_drift(t, row["dolp"], load_hz))
 
 
-def _align(
-    args: argparse.Namespace, recording: Recording, found: Findings,
-    load: analysis.LoadTrace,
-) -> None:
-    t, origin = found.fused.t_us, found.origin_us
-    if args.align == "offset":
-        if args.offset is None:
-            raise UsageError("--align offset needs --offset")
-        clock = analysis.align_by_offset(origin, args.offset, skew_ppm=args.skew_ppm)
-    elif args.align == "trigger":
-        pulses = np.concatenate([packet.triggers for packet in recording.packets()])
-        rising = np.isin(pulses["type"], (1, 3))
-        if not rising.any():
-            raise UsageError("--align trigger: the recording holds no external trigger")
-        clock = analysis.align_by_triggers(
-            pulses["t"][rising], load.trigger_times()).counted_from(origin)
-    else:
-        clock = _correlated(args, found, load)
-    found.clock, found.load = clock, load
-    seconds = clock.to_seconds(t)
-    gone = load.inside_gap(seconds)
-    if gone.all():
-        raise UsageError(
-            f"{args.load}: no sample falls on the recording; its clock may be another, "
-            f"or its time in another unit (it spans {load.t_s[0]:g} .. "
-            f"{load.t_s[-1]:g} s)")
-    for name, values in (("force_n", load.force_n),
-                         ("displacement_mm", load.displacement_mm)):
-        if values is not None:
-            found.extra[name] = np.where(
-                gone, np.nan, np.interp(seconds, load.t_s, values))
-    if gone.any():
-        found.messages.append(
-            f"load file: {np.count_nonzero(gone)} of {len(t)} images lie in its gaps "
-            "or outside it")
-    primary = found.extra["force_n" if load.force_n is not None else "displacement_mm"]
-    try:
-        found.loops = [analysis.hysteresis(t, primary, row["dolp"], found.load_hz)
-                       for row in found.fused.table]
-    except ValueError as error:
-        found.messages.append(f"no loop: {error}")
-
-
-def _correlated(
-    args: argparse.Namespace, found: Findings, load: analysis.LoadTrace
-) -> analysis.Clock:
-    """Align by the DoLP of frames, which have no lag, if it determines the offset.
-
-    It does, unless frames are locked to the load's phase.  Aliasing is no problem, as
-    the load is known between frames.
-    """
-    # Any region would do; the one with the most precise frequency is best.
-    best = int(np.argmin([tone.hz_se / tone.hz for tone in found.tones]))
-
-    def aligned(traces: analysis.Traces) -> analysis.Clock:
-        shift = (int(traces.t_us[0]) - found.origin_us) / 1e6
-        return analysis.align_by_correlation(
-            traces.t_us, traces.table["dolp"][best], load,
-            expected_s=None if args.offset is None else args.offset - shift,
-            within_s=None if args.offset is None else args.within
-        ).counted_from(found.origin_us)
-
-    if found.frames is not None and len(found.frames.t_us) >= 16:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", AnalysisWarning)
-            try:
-                clock = aligned(found.frames)
-            except ValueError:  # too few samples overlap; try the fused images
-                clock = None
-        if clock is not None and clock.offset_se_s < 5e-3 / found.load_hz:
-            for warning in caught:
-                warnings.warn(warning.message, AnalysisWarning, stacklevel=3)
-            return clock
-    found.messages.append(
-        "load file: aligned with the fused images, which may lag by 1 % of a cycle, as "
-        "the frames alone do not fix its offset")
-    clock = aligned(found.busiest or found.fused)
-    error = math.hypot(
-        clock.offset_se_s, 0.01 / found.load_hz, _lag_error(found.facts))
-    return replace(clock, offset_se_s=error)
-
-
-def _lag_error(facts: dict[str, Any]) -> float:
-    """Return the uncertainty of the pixels' lag after its correction, seconds."""
-    hz, _, relative = facts.get("parameters", {}).get("bandwidth") or (0.0, 0.0, 0.0)
-    return math.expm1(relative) / (2 * math.pi * hz) if hz > 0 else 0.0
-
-
 def _maps_and_video(
     args: argparse.Namespace, recording: Recording, options: dict[str, Any],
     held: dict[str, Any], found: Findings,
@@ -485,13 +317,13 @@ def _write(args: argparse.Namespace, found: Findings) -> list[Path]:
     written = [out / "traces.csv"]
     export.write_traces(written[0], found.fused, origin_us=origin,
                         facts={**facts, "hz": found.load_hz},
-                        extra=found.extra)
+                        extra=found.extra, decimal=args.decimal)
     written += export.write_jaer_csv(
         out / "traces-jaer.csv", found.fused, origin_us=origin, facts={})
     if found.frames is not None:
         written.append(out / "frames.csv")
         export.write_traces(written[-1], found.frames, origin_us=origin,
-                            facts={**facts, "method": "frames"})
+                            facts={**facts, "method": "frames"}, decimal=args.decimal)
     written.append(out / "cycle.csv")
     export.write_csv(
         written[-1], ("roi", "phase_cycles", "dolp", "dolp_sd", "dolp_se", "samples"),

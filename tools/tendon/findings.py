@@ -64,7 +64,6 @@ class Findings:
     clock: analysis.Clock | None = None
     load: analysis.LoadTrace | None = None
     loops: list[analysis.Loop] = field(default_factory=list)
-    busiest: analysis.Traces | None = None
     still: render.Picture | None = None
     extra: dict[str, NDArray[Any]] = field(default_factory=dict)
 
