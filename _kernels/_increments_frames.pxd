@@ -28,9 +28,13 @@ cdef inline double corner_of(double log, const camera_t* c) noexcept nogil:
 
 
 cdef inline void node_of(const pixel_t* p, const stored_t* store, int64_t begin,
-                         int64_t end, int samples, int64_t known, const camera_t* c,
-                         const lamp_t* lamp, node_t* node) noexcept nogil:
-    """Evaluate the changes so far in a frame's exposure, as known at `known`.  (6)"""
+                         int64_t end, int samples, int64_t known, const float* gain,
+                         const camera_t* c, const lamp_t* lamp,
+                         node_t* node) noexcept nogil:
+    """Evaluate the changes so far in a frame's exposure, as known at `known`.  (6)
+
+    It is linear in the pixel's gains about those given.
+    """
     cdef look_t at
     cdef double[2] part, rate
     cdef double[MOST_SAMPLES] y, off, on, slope, u, lit
@@ -65,8 +69,9 @@ cdef inline void node_of(const pixel_t* p, const stored_t* store, int64_t begin,
             part_of(&at.around, c, part, rate)
         off[i] = at.light[0] + c.theta[0] * part[0]
         on[i] = at.light[1] + c.theta[1] * part[1]
-        y[i] += off[i] + on[i]
-        slope[i] += c.theta[0] * rate[0] + c.theta[1] * rate[1]
+        y[i] += (1.0 + gain[0]) * off[i] + (1.0 + gain[1]) * on[i]
+        slope[i] += ((1.0 + gain[0]) * c.theta[0] * rate[0]
+                     + (1.0 + gain[1]) * c.theta[1] * rate[1])
         u[i] = 0.0
         top = max(top, y[i] + lit[i])
         if t <= middle and at.next == NEVER and at.around.sign:
@@ -80,12 +85,12 @@ cdef inline void node_of(const pixel_t* p, const stored_t* store, int64_t begin,
                 u[i] = lead_of(slope[i], max(share, 1e-3), c)
             total += exp_f(<float>(y[i] + u[i] + lit[i] - top))
         level = top + log_f(<float>(total / samples))
-    node.mean = level
     node.light[0] = node.light[1] = 0.0
     for i in range(samples):
         share = exp_f(<float>(y[i] + u[i] + lit[i] - top)) / total
         node.light[0] += share * off[i]
         node.light[1] += share * on[i]
+    node.mean = level - gain[0] * node.light[0] - gain[1] * node.light[1]
 
 
 cdef struct lags_t:

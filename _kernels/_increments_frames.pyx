@@ -14,11 +14,12 @@ from _kernels._model cimport wave_t
 def increments_node(const pixel_t[:, ::1] pixels not None,
                     const stored_t[::1] store not None,
                     const int64_t[:, ::1] exposure not None, int samples, int64_t known,
+                    const float[:, :, ::1] gains not None,
                     const double[::1] camera not None, const wave_t[::1] waves not None,
                     bint again, node_t[:, ::1] nodes not None, bands not None):
     """Evaluate rows first <= y < last of a frame; exposure is (begin, end) by column.
 
-    again: only where a silence was open.
+    gains are those about which it is linear.  again: only where a silence was open.
     """
     cdef Py_ssize_t y, x, first, last
     cdef const camera_t* c = camera_of(camera)
@@ -27,14 +28,16 @@ def increments_node(const pixel_t[:, ::1] pixels not None,
     if samples < 1 or samples > MOST_SAMPLES:
         raise ValueError("increments_node: samples must be 1 to 9")
     if (nodes.shape[0] != pixels.shape[0] or nodes.shape[1] != pixels.shape[1]
-            or exposure.shape[0] != 2 or exposure.shape[1] != pixels.shape[1]):
+            or exposure.shape[0] != 2 or exposure.shape[1] != pixels.shape[1]
+            or gains.shape[0] != pixels.shape[0] or gains.shape[1] != pixels.shape[1]
+            or gains.shape[2] != 2):
         raise ValueError("increments_node: all images must have one shape")
     with nogil:
         for y in range(first, last):
             for x in range(pixels.shape[1]):
                 if not again or nodes[y, x].open_t != 0:
                     node_of(&pixels[y, x], &store[0], exposure[0, x], exposure[1, x],
-                            samples, known, c, &lamp, &nodes[y, x])
+                            samples, known, &gains[y, x, 0], c, &lamp, &nodes[y, x])
 
 
 cdef struct between_t:
@@ -247,7 +250,8 @@ def increments_close(const pixel_t[:, ::1] pixels not None,
                      const stored_t[::1] store not None,
                      const int64_t[:, ::1] exposure not None,
                      const int64_t[::1] middle not None, int samples, int64_t ahead,
-                     int64_t oldest, const double[::1] camera not None,
+                     int64_t oldest, const float[:, :, ::1] gains not None,
+                     const double[::1] camera not None,
                      const wave_t[::1] waves not None, node_t[:, ::1] nodes not None,
                      double[:, :, ::1] planes):
     """Evaluate a frame where silences have ended, before its events are dropped.
@@ -264,6 +268,7 @@ def increments_close(const pixel_t[:, ::1] pixels not None,
     cdef int k
     if (nodes.shape[0] != h or nodes.shape[1] != w or exposure.shape[0] != 2
             or exposure.shape[1] != w or middle.shape[0] != w or samples < 1
+            or gains.shape[0] != h or gains.shape[1] != w or gains.shape[2] != 2
             or samples > MOST_SAMPLES or planes is not None and (
                 planes.shape[0] != 3 or planes.shape[1] != h or planes.shape[2] != w)):
         raise ValueError("increments_close: all images must have one shape")
@@ -279,7 +284,7 @@ def increments_close(const pixel_t[:, ::1] pixels not None,
                         planes[k, y, x] = out[k]
                 if n.open_t != 0 and p.at.t > n.open_t:
                     node_of(p, &store[0], exposure[0, x], exposure[1, x], samples,
-                            p.at.t, c, &lamp, n)
+                            p.at.t, &gains[y, x, 0], c, &lamp, n)
                 if n.open_t > oldest:
                     n.open_t = 0
                 if n.around_t > oldest:

@@ -97,6 +97,7 @@ cdef struct frames_t:
     const node_t* node
     const node_t* later
     const anchor_t* anchors
+    const float* gains          # about which the node of the frame before is linear
     const float* back           # NULL: no frame after
     const int64_t* exposure     # of the frame before: begin, end by column
     const int64_t* middle       # of both by column
@@ -173,8 +174,8 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
                     float[:, :, ::1] around, bands not None):
     """Bring the planes of the listed pixels up to date for a read.
 
-    frames is (node, exposure, samples, anchors, later or None, back, middles, around,
-    waves), times (t, known, epoch).  Of the list, the entries first <= i < last are
+    frames is (node, gains, exposure, samples, anchors, later or None, back, middles,
+    around, waves), times (t, known, epoch).  Of the list, the entries first <= i < last are
     processed; moves tells
     which may change before their next event or frame.  around receives what
     `increments_around` writes, less that of the frame before; None: nothing is weighed.
@@ -187,7 +188,7 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
     cdef const node_t[:, ::1] later
     cdef const int64_t[:, ::1] exposure, middles
     cdef const anchor_t[:, ::1] anchors
-    cdef const float[:, :, ::1] back
+    cdef const float[:, :, ::1] back, gains
     cdef double[:, :, ::1] then
     cdef const wave_t[::1] waves
     cdef const camera_t* c = camera_of(camera)
@@ -199,12 +200,13 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
     cdef float* plane = &planes[0, 0, 0]
     first, last = bands
     t, known, f.epoch = times
-    node, exposure, f.samples, anchors, later, back, middles, then, waves = frames
+    node, gains, exposure, f.samples, anchors, later, back, middles, then, waves = frames
     lamp = lamp_of(waves)
     f.lamp = &lamp
     f.h, f.w = pixels.shape[0], pixels.shape[1]
     if (node.shape[0] != f.h or node.shape[1] != f.w or anchors.shape[0] != f.h
-            or anchors.shape[1] != f.w or shown.shape[0] != f.h or shown.shape[1] != f.w
+            or anchors.shape[1] != f.w or gains.shape[0] != f.h
+            or gains.shape[1] != f.w or gains.shape[2] != 2 or shown.shape[0] != f.h or shown.shape[1] != f.w
             or planes.shape[0] != 5 or planes.shape[1] != f.h or planes.shape[2] != f.w
             or exposure.shape[0] != 2 or exposure.shape[1] != f.w
             or middles.shape[0] != 2 or middles.shape[1] != f.w
@@ -221,7 +223,7 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
         raise ValueError("increments_move: all images must have one shape")
     if first < 0 or last > moving.shape[0]:
         raise ValueError("increments_move: the list is shorter")
-    f.node = &node[0, 0]
+    f.node, f.gains = &node[0, 0], &gains[0, 0, 0]
     f.later = &later[0, 0] if later is not None else NULL
     f.back = &back[0, 0, 0] if later is not None else NULL
     f.around = &then[0, 0, 0] if around is not None else NULL
@@ -253,8 +255,8 @@ cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
         p.flags = LISTED
         if node.open_t != 0 and p.at.run > 0 and p.at.t > node.open_t:
             # Its end is known now.
-            node_of(p, store, f.exposure[x], f.exposure[f.w + x], f.samples, p.at.t, c,
-                    f.lamp, node)
+            node_of(p, store, f.exposure[x], f.exposure[f.w + x], f.samples, p.at.t,
+                    f.gains + 2 * at, c, f.lamp, node)
         if (around != NULL and f.ahead == 0 and node.around_t != 0 and p.at.run > 0
                 and p.at.t > node.around_t):
             node.around_t = around_of(p, store, f.middle[x], p.at.t, lags, c, out)

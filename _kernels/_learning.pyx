@@ -144,8 +144,8 @@ def learning_means(const past_t[::1] events not None, const int64_t[::1] start n
 
     span (3, N) is begin and end of the exposures and the time up to which events are
     known, at least `ahead` after each sample; log is ln(I + black) of the frame;
-    factor (2, N) is 1 + gain, OFF and ON.  out (N, 13) receives M-, M+, counts by class
-    and h.
+    factor (2, N) is 1 + gain, OFF and ON.  out (N, 14) receives M-, M+, counts by class,
+    h, and the variance of J.
     """
     cdef Py_ssize_t i, n = pixel.shape[0], pixels = start.shape[0] - 1
     cdef const camera_t* c = camera_of(camera)
@@ -153,7 +153,7 @@ def learning_means(const past_t[::1] events not None, const int64_t[::1] start n
     check_starts(start, events.shape[0])
     if (samples < 1 or samples > MOST_SAMPLES or span.shape[0] != 3
             or span.shape[1] != n or log.shape[0] != n or out.shape[0] != n
-            or out.shape[1] != COUNTS + 1 or factor.shape[0] != 2
+            or out.shape[1] != COUNTS + 2 or factor.shape[0] != 2
             or factor.shape[1] != n):
         raise ValueError("learning_means: arrays must have one row per pixel")
     for i in range(n):
@@ -206,6 +206,11 @@ cdef inline void mean_of(const past_t* events, int64_t low, int64_t high, int64_
         for j in range(COUNTS):
             out[j] += share * f[i][j]
     out[COUNTS] = level
+    out[COUNTS + 1] = 0.0
+    for i in range(samples):
+        share = exp_f(<float>(y[i] + u[i] - top)) / total
+        light = y[i] + u[i] - level
+        out[COUNTS + 1] += share * light * light
 
 
 def learning_around(const past_t[::1] events not None,

@@ -243,8 +243,8 @@ def increments_back(
 ) -> None: ...
 def increments_close(
     pixels: NDArray[Any], store: NDArray[Any], exposure: _I64, middle: _I64,
-    samples: int, ahead: int, oldest: int, camera: _F64, waves: NDArray[Any],
-    nodes: NDArray[Any], planes: _F64 | None,
+    samples: int, ahead: int, oldest: int, gains: _F32, camera: _F64,
+    waves: NDArray[Any], nodes: NDArray[Any], planes: _F64 | None,
 ) -> None: ...
 def increments_commit(
     store: NDArray[Any], at: int, stop: int, until: int, pixels: NDArray[Any],
@@ -268,8 +268,8 @@ def increments_move(
 ) -> None: ...
 def increments_node(
     pixels: NDArray[Any], store: NDArray[Any], exposure: _I64, samples: int,
-    known: int, camera: _F64, waves: NDArray[Any], again: bool, nodes: NDArray[Any],
-    bands: tuple[int, int],
+    known: int, gains: _F32, camera: _F64, waves: NDArray[Any], again: bool,
+    nodes: NDArray[Any], bands: tuple[int, int],
 ) -> None: ...
 def increments_pass(
     old: NDArray[Any], new: NDArray[Any], seconds: _F64, camera: _F64,

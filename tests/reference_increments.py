@@ -92,9 +92,9 @@ class Pixel:
         return part, rate, v * z * (s if s > 0.5 else 2 * s * (1 - s))
 
     def y(self, t, known):
-        """Changes of light so far by polarity, and their slope."""
+        """Changes of light so far by polarity, and their slopes."""
         part, rate, _ = self.part(t, known)
-        return self.light[self.last(t) + 1] + self.m.theta * part, self.m.theta @ rate
+        return self.light[self.last(t) + 1] + self.m.theta * part, self.m.theta * rate
 
     def lead(self, slope, light):
         """u of u (f0 + k I e^u) = y' / 2 pi, by bisection.  (5)"""
@@ -125,23 +125,23 @@ class Pixel:
                 out += [m.own[i] @ d, m.cell[i] @ d, m.near[i] @ d]
         return out
 
-    def node(self, begin, end, sample, known):
-        """h of a frame, and its parts by polarity.  (6)"""
+    def node(self, begin, end, sample, known, gain):
+        """h of a frame, linear in the gains about `gain`, and its parts.  (6)"""
         n = 1 if end - begin <= SHORT_US else SAMPLES
         times = [begin + int((end - begin) * (i + 0.5) / n) for i in range(n)]
         each = [self.y(t, max(known, t)) for t in times]
-        y = np.array([light.sum() for light, _ in each])
+        y = np.array([(1 + gain) @ light for light, _ in each])
         u, h = np.zeros(n), 0.0
         for turn in range(3):
             if turn and sample is not None:
-                u = np.array([self.lead(slope, max(
+                u = np.array([self.lead((1 + gain) @ slope, max(
                     math.exp(sample - h + one) - self.m.black, 1e-3))
                     for one, (_, slope) in zip(y, each, strict=True)])
             e = np.exp(y + u - y.max())
             h = y.max() + math.log(e.mean())
         light = sum(w * one for w, (one, _) in zip(e / e.sum(), each, strict=True))
         middle = begin + (end - begin) // 2
-        return {"h": h, "light": light, "around": 0.0,
+        return {"h": h - gain @ light, "light": light, "around": 0.0,
                 "open": self.open_event(middle, max(known, middle)),
                 "variance": self.part(middle, max(known, middle))[2]}
 
@@ -284,7 +284,8 @@ class Filter:
                 now = e if was is not None and e > was else known
                 was = p.open_event(middle + newest, known)
                 here = e if was is not None and e > was and not self.ahead else known
-            nodes[at] = p.node(begin, end, self.sample(frame, at)[0], now)
+            nodes[at] = p.node(begin, end, self.sample(frame, at)[0], now,
+                               self.about[id(frame)][at])
             planes[(slice(None), *at)] = p.around(middle, here, ahead)
         return nodes, planes
 
@@ -302,7 +303,9 @@ class Filter:
         for at in np.ndindex(self.shape):
             levels[at] = Level(self.gain[at])
         passed = [f for f in self.frames if self.passes(f) <= seen]
+        self.about = {}     # gains about which a frame's mean is linear: when it comes
         for k, f in enumerate(passed):
+            self.add(lambda g, f=f: g.mid_us < self.passes(f), levels)
             known = self.passes(f) - 1
             new, planes = self.nodes(f, known)
             g = passed[max(k - 1, 0)]
@@ -315,6 +318,7 @@ class Filter:
                 seconds = 1e-6 * (self.mid(f, at) - self.mid(g, at))
                 levels[at].update(
                     old[at], new[at], seconds, *self.sample(f, at), self.m)
+        self.add(lambda g: True, levels)
         later = [f for f in self.frames if f not in passed and self.usable(f) <= seen]
         looked, said = [], []
         for f in later:
@@ -350,6 +354,15 @@ class Filter:
                     now[(slice(None), *at)] -= then[(slice(None), *at)]
         log, variance = out[0] + mean_around(now), out[1]
         return log, variance
+
+    def add(self, which, levels):
+        """Note the gains when frames come."""
+        gains = np.empty((*self.shape, 2))
+        for at, level in np.ndenumerate(levels):
+            gains[at] = level.x[1:]
+        for frame in self.frames:
+            if id(frame) not in self.about and which(frame):
+                self.about[id(frame)] = gains
 
     def mid(self, frame, at):
         return int(np.broadcast_to(frame.column_mid_us, self.shape[1])[at[1]])

@@ -9,7 +9,7 @@ import pytest
 
 from pdavis_cv import _kernels, fuse
 from pdavis_cv.export.files import write_json
-from pdavis_cv.pixel.learn import Priors, learn
+from pdavis_cv.pixel.learn import LearnedPixels, Priors, learn
 from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.pixel.sample import PAST_DTYPE, PixelSample
 from pdavis_cv.simulation import Camera, RotatingPolarizer
@@ -105,17 +105,24 @@ def twin(t, sign, at):
     return out
 
 
-def test_counts_between_known_events_equal_their_twin():
+def a_pixel():
+    """Return 60 events of a pixel, where they start, and a model."""
     rng = np.random.default_rng(5)
-    t = np.sort(rng.choice(1_000_000, 60, replace=False)).astype(np.int64)
-    sign = rng.choice([-1, 1], 60).astype(np.int8)
-    model = PixelModel(theta=np.array([0.2, 0.2]), rest_s=1.0)
     past = np.zeros(60, PAST_DTYPE)
-    past["t"], past["sign"] = t, sign
-    start = np.array([0, 60], np.int64)
+    past["t"] = np.sort(rng.choice(1_000_000, 60, replace=False))
+    past["sign"] = rng.choice([-1, 1], 60)
+    start, model = np.array([0, 60], np.int64), PixelModel(
+        theta=np.array([0.2, 0.2]), rest_s=1.0)
     _kernels.learning_past(past, start, np.zeros(1, np.int64), model.numbers)
+    return past, start, model
+
+
+def test_counts_between_known_events_equal_their_twin():
+    past, start, model = a_pixel()
+    t, sign = past["t"], past["sign"]
+    rng = np.random.default_rng(6)
     at = rng.integers(t[0] - 1000, t[-1], 200)
-    out = np.empty((200, 13))
+    out = np.empty((200, 14))
     span = np.stack([at, at, np.full(200, 1 << 40)]).astype(np.int64)
     _kernels.learning_means(
         past, start, np.zeros(200, np.int32), span, 0, np.zeros(200), 1,
@@ -124,6 +131,32 @@ def test_counts_between_known_events_equal_their_twin():
         out[:, :2], [twin(t, sign, each) for each in at], atol=2e-5)
     np.testing.assert_allclose(out[:, 12], 0.2 * out[:, :2].sum(1), atol=1e-5)
     np.testing.assert_allclose(out[-1, 2:12].sum(), sign[t <= at[-1]].sum(), atol=1e-4)
+
+
+def test_the_variance_within_an_exposure_is_that_of_its_samples():
+    past, start, model = a_pixel()
+    begin, end = 100_000, 170_000
+    out = np.empty((1, 14))
+    _kernels.learning_means(
+        past, start, np.zeros(1, np.int32), np.array([[begin], [end], [1 << 40]]), 0,
+        np.zeros(1), 7, model.numbers, np.ones((2, 1)), out)
+    t, sign = past["t"], past["sign"]
+    j = np.array([0.2 * twin(t, sign, begin + int(70_000 * (i + 0.5) / 7)).sum()
+                  for i in range(7)])
+    h = np.log(np.exp(j).mean())
+    np.testing.assert_allclose(out[0, 12], h, atol=1e-4)
+    np.testing.assert_allclose(
+        out[0, 13], np.sum(np.exp(j - h) * (j - h) ** 2) / 7, rtol=1e-3)
+
+
+def test_a_scale_from_events_replaces_what_was_told():
+    found = LearnedPixels(model=PixelModel(theta=np.array([0.2, 0.3])),
+                          gains=np.zeros((2, 4)), told=True).scaled(1.5, 0.05)
+    np.testing.assert_allclose(found.model.theta, [0.3, 0.45])
+    np.testing.assert_allclose(found.model.thresholds, [0.3, 0.45])
+    sigma = np.sqrt(np.diag(found.model.theta_cov)) / found.model.theta
+    assert not found.told
+    assert (np.abs(sigma - 0.05) < 0.01).all()
 
 
 def test_a_black_level_is_missing_in_frames_not_in_light():

@@ -27,8 +27,9 @@ FOLDS = 4
 LOSS = 0.5
 """Error of ln DN from which the loss of cross-validation is robust."""
 
-UNSEEN = 0.03
-"""Weight of the penalty (10) on changes within exposures, which frames do not show."""
+SAME_SCALE = 1e3
+"""Weight of the penalty on what further weights change in proportion to all events:
+that is the thresholds', which errors of counts would attenuate here."""
 
 
 def further_weights(
@@ -48,10 +49,13 @@ def further_weights(
     x = np.concatenate([rows.feature, around], 1)
     used = np.any(x != 0, 0)
     first = np.concatenate([model.theta, np.zeros(x.shape[1] - 2)])
-    penalty = UNSEEN * _unseen(
+    penalty = _unseen(
         data, past, pairs, model, gains, shift_us, lookahead_us,
         1 / rows.variance(model))
     theta = float(model.theta.mean())
+    scale = (x[:, :2] / rows.variance(model)[:, None]).T @ x
+    penalty += SAME_SCALE * scale.T @ np.linalg.solve(
+        scale[:, :2] + 1e-9 * np.trace(scale[:, :2]) * np.eye(2), scale)
     fold = pairs.pair * FOLDS // number
     change = rows.change - rows.feature[:, 2:] @ model.by_class.ravel()
     residual = change - x @ first
@@ -100,7 +104,10 @@ def _unseen(
     data: Sampled, past: NDArray[np.void], pairs: Pairs, model: PixelModel,
     gains: Floats, shift_us: float, lookahead_us: int, weight: Floats,
 ) -> Floats:
-    """Return the penalty (10) on what weights change within exposures."""
+    """Return the penalty (10) on what weights change within exposures.
+
+    It is as if rows had shown that this is 0.
+    """
     if 1e3 * float(pairs.ms.max()) <= SHORT_US:
         return np.zeros((2 + 2 * GAP_CLASSES + 6 * len(LAGS_S) + 4,) * 2)
 

@@ -49,6 +49,10 @@ EVIDENCE, EVIDENCE_OF_BLACK = 4.0, 25.0
 errors; and five for a black level, which must also lower the loss of pairs by four: it
 makes up for much that is not modelled (2 to 3 DN/ms were found where none was)."""
 
+STEADY = 0.1
+"""Variance of J within both exposures up to which a pair tells the black level: what
+moves more depends on what happens between events."""
+
 MODEL_ERROR = 0.02
 """Relative error of thresholds that a perfect fit leaves, of simulated cameras."""
 
@@ -121,12 +125,23 @@ class LearnedPixels:
         ``lag`` (us) of the interpolation.
     gains : ndarray of float64, shape (2, K)
         Deviations of the sampled pixels' thresholds.
+    told : bool
+        Whether thresholds are those of the priors, as frames say nothing of them.
     """
 
     model: PixelModel
     clock_offset_us: float = 0.0
     sigmas: Mapping[str, float] = field(default_factory=dict)
     gains: Floats
+    told: bool = False
+
+    def scaled(self, factor: float, sigma: float) -> LearnedPixels:
+        """Return the camera with thresholds times a factor of this relative error."""
+        theta = factor * self.model.theta
+        return replace(self, told=False, model=self.model.replace(
+            theta=theta, thresholds=theta,
+            theta_cov=sigma**2 * np.outer(theta, theta) + np.diag(
+                (MODEL_ERROR * theta) ** 2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +211,7 @@ def learn(sample: PixelSample, priors: Priors, lookahead_us: int) -> LearnedPixe
     fit = _Fit(model, told, 0.0, gains, {})
     pairs = pairs_of(data, clock)
     if pairs is None or len(data.events) < 100:
-        return LearnedPixels(model=model, clock_offset_us=told, gains=gains)
+        return LearnedPixels(model=model, clock_offset_us=told, gains=gains, told=True)
     fit = _with(fit, dead_s=_dead_time(data))
     fit = _fitted(data, pairs, priors, fit)
     model, past = fit.model, _past(data, fit.model)
@@ -205,7 +220,7 @@ def learn(sample: PixelSample, priors: Priors, lookahead_us: int) -> LearnedPixe
         # Frames do not tell events from noise: what was told stays.
         model = model.replace(black=prior.black, bandwidth=prior.bandwidth)
         return LearnedPixels(model=model, clock_offset_us=told, gains=gains,
-                             sigmas=fit.sigmas)
+                             sigmas=fit.sigmas, told=True)
     short = thinned(pairs.part(pairs.short), MOST_FURTHER)
     model = features.further_weights(data, past, short, model, fit.gains, fit.shift_us,
                             lookahead_us)
@@ -291,8 +306,9 @@ def _fitted(data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit) -> _Fit:
         held = {"black": numbers["black"]}
         ms = float(np.median(pairs.ms))
         other = tried(_with(best, black=BLACK[0] / ms), [*used, "black"])
-        without, within = (_losses(data, pairs, one) for one in (best, other))
-        gain = without - within
+        (without, steady), (within, _) = (
+            _losses(data, pairs, one) for one in (best, other))
+        gain = np.bincount(pairs.pair, np.where(steady, without - within, 0))
         clearly = gain.sum() > EVIDENCE * math.sqrt(len(gain)) * gain.std()
         if clearly and other.cost < best.cost - EVIDENCE_OF_BLACK:
             best = other
@@ -341,13 +357,14 @@ def _honest(data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit) -> _Fit:
         **fit.sigmas, "off": math.sqrt(new[0]), "on": math.sqrt(new[1])})
 
 
-def _losses(data: Sampled, pairs: Pairs, fit: _Fit) -> Floats:
-    """Return the loss of each pair in ln DN, robust from LOSS on."""
+def _losses(
+    data: Sampled, pairs: Pairs, fit: _Fit,
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return the loss of each row in ln DN, robust from LOSS on; which are steady."""
     rows = _rows(data, _past(data, fit.model), pairs, fit)
     error = (_residual(rows, fit.model) * rows.jacobian) ** 2 / (
         rows.frame_noise * rows.jacobian**2 + LOSS**2)
-    losses = np.bincount(pairs.pair, 2 * (np.sqrt(1 + error) - 1))
-    return losses.astype(np.float64)
+    return 2 * (np.sqrt(1 + error) - 1), rows.blur < STEADY
 
 
 def _apart(fits: Sequence[_Fit]) -> list[_Fit]:

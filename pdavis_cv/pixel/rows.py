@@ -134,6 +134,8 @@ class Rows:
         Variance of both samples.
     parts : ndarray of float64, shape (N, 2)
         Change by OFF and ON events.
+    blur : ndarray of float64, shape (N,)
+        Variance of J within the exposures, of both in sum.
     """
 
     feature: Floats
@@ -141,6 +143,7 @@ class Rows:
     jacobian: Floats
     frame_noise: Floats
     parts: Floats
+    blur: Floats
     pairs: Pairs
 
     def noise_features(self, theta: float) -> Floats:
@@ -168,7 +171,7 @@ def linearized(
     logs = np.log(np.maximum(pairs.dn / pairs.ms + model.black, 1e-3))
     means = []
     for k in (0, 1):
-        out = np.empty((len(pairs.pixel), 13))
+        out = np.empty((len(pairs.pixel), 14))
         until = known if k == 0 else np.zeros_like(known)
         _kernels.learning_means(
             past, data.start, pairs.pixel, np.ascontiguousarray(np.stack(
@@ -186,7 +189,8 @@ def linearized(
     return Rows(feature, logs[1] - logs[0] - h + feature @ weights,
                 (mean_dn + model.black * mean_ms) / mean_dn,
                 model.frame_variance(pairs.dn, pairs.ms).sum(0),
-                np.stack([off / factor[0], on / factor[1]], 1), pairs)
+                np.stack([off / factor[0], on / factor[1]], 1),
+                means[0][:, 13] + means[1][:, 13], pairs)
 
 
 def counts_at(
@@ -200,7 +204,7 @@ def counts_at(
     begin, end = pairs.exposure[1] + np.int64(round(shift_us))
     t = (begin + at * (end - begin)).astype(np.int64)
     factor = np.ascontiguousarray(1 + gains[:, pairs.pixel])
-    out = np.empty((len(t), 13))
+    out = np.empty((len(t), 14))
     _kernels.learning_means(
         past, data.start, pairs.pixel, np.stack([t, t, np.zeros_like(t)]), ahead_us,
         np.zeros(len(t)), 1, model.replace(bandwidth=(0.0, 0.0)).numbers, factor, out)

@@ -47,10 +47,14 @@ class Waiting:
         As read out.
     model : PixelModel
         Gives its noise, and the light that it lacks.
+    gains : ndarray of float32, shape (H, W, 2)
+        Of the pixels' thresholds, about which the mean over the exposure is linear.
     """
 
-    def __init__(self, frame: ApsFrame, model: PixelModel) -> None:
-        self.frame = frame
+    def __init__(
+        self, frame: ApsFrame, model: PixelModel, gains: NDArray[np.float32],
+    ) -> None:
+        self.frame, self.gains = frame, gains
         self.exposure = np.stack([
             np.broadcast_to(edge, frame.shape[1:]) for edge in (
                 frame.exposure_start_us, frame.exposure_end_us)]).astype(np.int64)

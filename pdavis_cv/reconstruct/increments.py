@@ -157,6 +157,7 @@ class IncrementFilter(Reconstructor):
         self._lasting = LastingDegree(self.shape, self._saturated.response)
         self._lamp = Lamplight()
         self._no_node = np.zeros(self.shape, NODE_DTYPE)
+        self._no_gains = np.zeros((*self.shape, 2), np.float32)
         size = self.shape[0] * self.shape[1]
         # Pixels that may move, and what an image is made of: see `increments_move`.
         self._moving, self._listed = np.arange(size, dtype=np.int32), size
@@ -271,8 +272,8 @@ class IncrementFilter(Reconstructor):
                 if keep > oldest and first.known_us is not None:
                     _kernels.increments_close(
                         self._pixels, self._store, first.exposure, first.middle,
-                        first.samples, self.lookahead_us, oldest, self._numbers,
-                        self._lamp.waves, first.nodes, first.around)
+                        first.samples, self.lookahead_us, oldest, first.gains,
+                        self._numbers, self._lamp.waves, first.nodes, first.around)
                     self._changed()
             drop = int(np.searchsorted(
                 self._store["t"][:self._committed], keep, "left"))
@@ -293,7 +294,8 @@ class IncrementFilter(Reconstructor):
         """
         last = self._frames[-1].frame.mid_us if self._frames else NEVER
         self._clock.check_frame(frame, last if self.takes_late_frames else None)
-        waiting = Waiting(frame, self._model)
+        self._settle(max(self._clock.last_us, frame.mid_us))
+        waiting = Waiting(frame, self._model, self._anchors["gain"].copy())
         self._frames = (*self._frames, waiting)
         self._scratch = None
         self._saturated.add_frame(
@@ -386,7 +388,8 @@ class IncrementFilter(Reconstructor):
             frame.around = None
         self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_node(
             self._pixels, self._store, frame.exposure, frame.samples, known,
-            self._numbers, self._lamp.waves, again, frame.nodes, (first, last)))
+            frame.gains, self._numbers, self._lamp.waves, again, frame.nodes,
+            (first, last)))
         frame.known_us = until_us
         self._back, self._fresh = None, False
 
@@ -469,6 +472,7 @@ class IncrementFilter(Reconstructor):
         nothing = np.zeros((2, self.shape[1]), np.int64)
         frames = (
             self._no_node if anchor is None else anchor.nodes,
+            self._no_gains if anchor is None else anchor.gains,
             nothing if anchor is None else anchor.exposure,
             1 if anchor is None else anchor.samples, self._anchors,
             later[0].nodes if later else None, self._back,

@@ -283,6 +283,10 @@ class SelfCalibration:
                   if "jitter_us" in wanted and not self._window.flickers else None)
         if self._pixels is not None and self._learns is not None and "model" in wanted:
             learned = learn(self._pixels, self._learns, lookahead_us)
+            if learned.told and not self._window.flickers:
+                by_events = fit_event_scale(self._cells, self._nominal)
+                if by_events is not None and by_events.significant:
+                    learned = learned.scaled(by_events.factor, by_events.sigma)
             on, off = (np.broadcast_to(value, self.shape) for value in self._nominal)
             return CameraEstimate(
                 theta_on=on, theta_off=off, ratio_spread=spread, pixels=learned,
