@@ -150,6 +150,7 @@ def names_options(*lists: type[Options], rest: str = "parameters"
 _P = ParamSpec("_P")
 _Source = TypeVar("_Source", contravariant=True)
 _Made = TypeVar("_Made", covariant=True)
+_Given = TypeVar("_Given", bound=Options)
 
 
 class _TakesOptions(Protocol[_Source, _P, _Made]):
@@ -164,6 +165,24 @@ class _TakesOptions(Protocol[_Source, _P, _Made]):
     def __call__(
         self, source: _Source, /, options: Options | None = None, **changes: Any
     ) -> _Made: ...
+
+
+def changed(
+    kind: type[_Given], options: _Given | None, changes: Mapping[str, Any]
+) -> _Given:
+    """Return options with some changed, of a function ``(source, options, **changes)``.
+
+    Raises
+    ------
+    TypeError
+        If `options` is something else, such as a value without its name.
+    """
+    if options is None:
+        return kind().replace(**changes)
+    if not isinstance(options, kind):
+        raise TypeError(f"options must be {kind.__name__}, got {options!r:.60}; single "
+                        "options are given by name")
+    return options.replace(**changes)
 
 
 def takes(

@@ -86,7 +86,10 @@ def as_events(events: Any) -> Events:
             f"{type(events).__name__}")
     dtype = events.dtype
     if dtype.fields is None or dtype.names is None:
-        raise TypeError(f"events must be a structured array, got dtype {dtype}")
+        raise TypeError(
+            "events must be a structured array with the fields t, x, y, p, or a "
+            f"mapping of columns, such as {{'t': a[:, 0], ...}}, got {dtype} of shape "
+            f"{events.shape}")
     found = _find_fields(dtype.names)
     for field in found.values():
         _require_integers(field, dtype[field])

@@ -2,13 +2,14 @@
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NoReturn, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 import pdavis_cv
 from pdavis_cv import _kernels
+from pdavis_cv._advice import Advises
 from pdavis_cv._checks import outputs
 from pdavis_cv._types import Facts, Image
 from pdavis_cv.analyser import Analyser, stokes_gain
@@ -19,7 +20,6 @@ from pdavis_cv.mosaic import (
     places_of,
     scratch_rows,
 )
-from pdavis_cv.registry import instead
 from pdavis_cv.sensor import Layout
 from pdavis_cv.stokes_vector import (
     aop,
@@ -36,7 +36,7 @@ from pdavis_cv.stokes_vector import (
 __all__ = ["PolarFrame", "polarization"]
 
 
-class PolarFrame:
+class PolarFrame(Advises):
     """Four polarization channels at one time, with the quantities derived from them.
 
     It owns its memory: later images never change an earlier one.  All arrays are
@@ -456,10 +456,16 @@ class PolarFrame:
                   for name in ("method", "mode") if name in self._provenance]
         return f"PolarFrame({', '.join(parts)})"
 
-    if not TYPE_CHECKING:  # it would hide every misspelt name from mypy
-        def __getattr__(self, name: str) -> NoReturn:
-            raise AttributeError(
-                f"PolarFrame has no {name!r}{_instead(name)}", name=name, obj=self)
+    @classmethod
+    def _advice(cls, name: str) -> str:
+        try:
+            # Through the package's lazy attribute, as `quantities` is in this line.
+            known: str = pdavis_cv.quantities.quantity(name).name
+        except ValueError:
+            return super()._advice(name)
+        if known in ("i0", "i45", "i90", "i135"):
+            return "; I0, I45, I90 and I135 are the planes of quad"
+        return f"; it is {known}" if hasattr(cls, known) else ""
 
     def _repr_png_(self) -> bytes | None:
         """Return a picture of S0, AoP and DoLP for notebooks; None without OpenCV."""
@@ -468,20 +474,6 @@ class PolarFrame:
             return pdavis_cv.render.png_of(pdavis_cv.render.summary(self))
         except ImportError:
             return None
-
-
-def _instead(name: str) -> str:
-    """Return what an attribute that there is not may be called here."""
-    if name.startswith("_"):
-        return ""
-    try:
-        # Through the package's lazy attribute, as `quantities` is above this module.
-        known: str = pdavis_cv.quantities.quantity(name).name
-    except ValueError:
-        return instead(name, [one for one in dir(PolarFrame) if one[0] != "_"])
-    if known in ("i0", "i45", "i90", "i135"):
-        return "; I0, I45, I90 and I135 are the planes of quad"
-    return f"; it is {known}" if hasattr(PolarFrame, known) else ""
 
 
 def _restored_frame(*arguments: Any) -> PolarFrame:

@@ -18,7 +18,7 @@ from pdavis_cv.errors import PdavisWarning
 if TYPE_CHECKING:   # it loads the e-mail package, which takes 20 ms
     from importlib.metadata import EntryPoint
 
-__all__ = ["Registry", "UnknownNameError", "instead", "loaded"]
+__all__ = ["Registry", "UnknownNameError", "instead", "loaded", "nearest"]
 
 T = TypeVar("T")
 
@@ -129,17 +129,25 @@ def loaded(what: Any) -> Any:
     return getattr(importlib.import_module(module), name)
 
 
-_MEANT = {"framerate": "fps", "frame_rate": "fps", "rate": "fps", "begin": "start_us",
+_MEANT = {"framerate": "fps", "frame_rate": "fps", "frame-rate": "fps",
+          "show": "quantities", "output": "out", "rate": "fps", "begin": "start_us",
           "end": "stop_us", "until": "stop_us", "duration": "stop_us",
-          "times": "times_us", "t": "times_us", "crop": "roi", "region": "roi"}
-"""What other libraries call an option; used where there is an option of that name."""
+          "times": "times_us", "t": "times_us", "crop": "roi", "region": "roi",
+          **dict.fromkeys(("open", "read", "load", "imread"), "open_recording")}
+"""What other libraries call a thing; used where there is one of that name."""
 
 
 def instead(name: object, known: Iterable[str]) -> str:
     """Return "; did you mean ...?" with the known name nearest to one, or nothing."""
+    near = nearest(name, known)
+    return f"; did you mean {near}?" if near else ""
+
+
+def nearest(name: object, known: Iterable[str]) -> str | None:
+    """Return the known name nearest to one, None if there is none near."""
     names = {one.lower(): one for one in known}
     wanted = str(name).lower()
     meant = _MEANT.get(wanted, f"{wanted}_us")
     near = ([meant] if meant in names else
             difflib.get_close_matches(wanted, names, 1, 0.7))
-    return f"; did you mean {names[near[0]]}?" if near else ""
+    return names[near[0]] if near else None

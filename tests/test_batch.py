@@ -522,7 +522,7 @@ def test_the_command_tells_what_failed(tmp_path, capsys):
 @pytest.mark.parametrize(("words", "message"), [
     (["--set", "start=1"], "start is a time in one recording"),
     (["--set", "demosaic=fine"], "demosaic must be one of"),
-    (["--set", "fps=fast"], "fps: not 1 numbers: 'fast'"),
+    (["--set", "fps=fast"], "fps: must be a number without a unit, got 'fast'"),
     (["--work", "dance"], "--work must be one of"),
     (["--work", "os:nothing"], "--work os:nothing"),
     (["--with", "colour=red"], "--with colour: export has start_s, stop_s, suffix"),

@@ -120,7 +120,7 @@ def test_mistakes_are_one_line(tmp_path, capsys):
     path = tmp_path / "x.aedat4"
     write_aedat4(path, small())
     for arguments, message in (
-            ([path, tmp_path / "x.xyz"], "no format ends in '.xyz'"),
+            ([path, tmp_path / "x.xyz"], "the name must end in .aedat4, .aedat,"),
             ([path, path], "is the recording that is read"),
             ([tmp_path / "none", tmp_path / "y.aedat4"], "No such file"),
             ([path, tmp_path / "y.aedat2"], "that of a DAVIS")):

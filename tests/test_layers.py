@@ -24,8 +24,8 @@ LINES = (
     ("recording",),
     ("polarimetry", "stokes_vector", "analyser", "mosaic", "aps", "packed", "events",
      "quantities"),
-    ("sensor", "errors", "_arrays", "_beside", "_checks", "_opencv", "_options",
-     "_remote", "_types", "_workers", "data", "registry"),
+    ("sensor", "errors", "_advice", "_arrays", "_beside", "_checks", "_opencv",
+     "_options", "_remote", "_types", "_workers", "data", "registry"),
     ("_kernels",),
 )
 LINE = {room: i for i, line in enumerate(LINES) for room in line}

@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import difflib
 import functools
 import json
 import os
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TextIO
 
 from pdavis_cv._beside import takes_bytes
 from pdavis_cv.errors import PdavisError, PdavisWarning
+from pdavis_cv.registry import nearest
 
 from ._flags import flags
 from ._interrupts import interruptible
@@ -74,10 +74,12 @@ class OneLineParser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise UsageError instead of printing the whole usage."""
-        asked = re.match(r"unrecognized arguments: (--[^\s=]+)", message)
-        close = difflib.get_close_matches(
-            asked[1], self._option_string_actions, 1) if asked else []
-        advice = f"did you mean {close[0]}? " if close else ""
+        asked = re.match(r"unrecognized arguments: --([^\s=]+)", message)
+        options = {flag[2:]: flag for flag in self._option_string_actions}
+        options |= {name: flag for name, (flag, *_) in flags().items()
+                    if flag in self._option_string_actions}
+        near = asked and nearest(asked[1], options)
+        advice = f"did you mean {options[near]}? " if near else ""
         raise UsageError(f"{message} ({advice}see {self.prog} --help)")
 
 

@@ -20,6 +20,7 @@ __all__ = [
     "roi_option",
     "seconds",
     "setting",
+    "since_start",
     "size_option",
     "thresholds",
     "whole",
@@ -39,13 +40,14 @@ def numbers(text: str, count: int, kind: Callable[[str], Any] = float) -> list[A
     parts = text.split(",")
     if count == 1 and len(parts) == 2:
         raise argparse.ArgumentTypeError(f"a decimal point is needed, got {text!r}")
-    if len(parts) != count:
-        raise argparse.ArgumentTypeError(
-            f"{count} numbers with commas between them are needed, got {text!r}")
     try:
+        if len(parts) != count:
+            raise ValueError(text)
         values = [kind(part) for part in parts]
     except ValueError:
-        raise argparse.ArgumentTypeError(f"not {count} numbers: {text!r}") from None
+        what = f"{count} numbers with commas between them" if count > 1 else (
+            "an integer" if kind is int else "a number without a unit")
+        raise argparse.ArgumentTypeError(f"must be {what}, got {text!r}") from None
     if not all(abs(value) < MOST for value in values):
         raise argparse.ArgumentTypeError(
             f"numbers must lie within {MOST:g} of 0, got {text}")
@@ -80,6 +82,15 @@ def within(low: int, high: int) -> Callable[[str], int]:
         return value
 
     return parse
+
+
+def since_start(text: str) -> float:
+    """Parse a time in seconds after the start of a recording."""
+    value = seconds(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(
+            f"must not be negative, got {text}")
+    return value
 
 
 def seconds(text: str) -> float:

@@ -42,7 +42,7 @@ from ._common import (
 )
 from ._images import full_scale, screen_scale, told_if_nothing
 from ._options import add_file, add_fuse_options, fuse_options, opened
-from ._values import numbers, positive, seconds, within
+from ._values import numbers, positive, since_start, within
 
 __all__ = ["Sheet", "main"]
 
@@ -88,8 +88,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             if (args.start_us, args.stop_us, args.fps) != (None, None, None):
                 raise UsageError(
                     "--at is one image: it excludes --start, --stop and --fps")
-            if args.at < 0:
-                raise UsageError(f"--at must not be negative, got {args.at:g}")
             at = start_of(recording) + round(args.at * 1e6)
             require_samples(recording, at)
             options |= {"fps": None, "times_us": [at]}
@@ -156,7 +154,7 @@ def _parser() -> argparse.ArgumentParser:
              "which events have the hue of their angle; with --set cutoff_hz=, "
              "radius=, correct_phase=true; default images")
     parser.add_argument(
-        "--at", type=seconds, metavar="S",
+        "--at", type=since_start, metavar="S",
         help="one image, at this time in seconds after the start of the recording")
     parser.add_argument(
         "--quantities", type=_quantities, default=["s0", "aop", "dolp"],

@@ -2,11 +2,11 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import importlib
 from collections.abc import Sequence
 
 from pdavis_cv import __version__
+from pdavis_cv.registry import nearest
 
 from ._common import OneLineParser, UsageError, command
 
@@ -52,11 +52,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_help()
         return 0
     if args.command not in COMMANDS:
-        close = difflib.get_close_matches(args.command, COMMANDS, 1)
+        near = nearest(args.command, COMMANDS)
         raise UsageError(
             f"no command {args.command!r}; "
-            + (f"did you mean {close[0]}? " if close else "")
-            + f"there are {', '.join(COMMANDS)}")
+            + (f"did you mean {near}? " if near else "")
+            + f"there are {', '.join(COMMANDS)}, see pdavis --help")
     module = importlib.import_module(f"pdavis_cv.tools.{args.command}")
     result: int = module.main(args.arguments)
     return result

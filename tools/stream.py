@@ -21,6 +21,7 @@ from ._common import (
 from ._interrupts import ended_by_signals
 from ._options import add_file, add_source_options, source_of
 from ._tls import add_tls_options, tls_of
+from ._values import within
 
 __all__ = ["main"]
 
@@ -66,7 +67,7 @@ def _parser() -> argparse.ArgumentParser:
     add_file(parser, "a recording, or the address of a live source")
     parser.add_argument("--host", default="127.0.0.1",
                         help="address to answer on, default this machine alone")
-    parser.add_argument("--port", type=int, default=7777,
+    parser.add_argument("--port", type=within(0, 65535), default=7777,
                         help="for events, default 7777; 0 = any that is free")
     parser.add_argument("--frames-port", type=int, default=7778,
                         help="for frames, default 7778")

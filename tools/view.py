@@ -15,6 +15,7 @@ from ._common import Parser, UsageError, add_json_option, command, start_of, tel
 from ._interrupts import ended_by_signals
 from ._options import add_file, add_fuse_options, fusion_given, source_of
 from ._tls import add_tls_options, tls_of
+from ._values import within
 
 __all__ = ["main"]
 
@@ -64,7 +65,8 @@ def _parser() -> argparse.ArgumentParser:
         help="address to answer on, default this machine alone; others need the token "
              "that is printed")
     parser.add_argument(
-        "--port", type=int, default=8346, help="default 8346; 0 = any that is free")
+        "--port", type=within(0, 65535), default=8346,
+        help="default 8346; 0 = any that is free")
     add_tls_options(
         parser, "who must have signed a browser's certificate; default: none is asked "
         "for")

@@ -11,6 +11,7 @@ from typing import Any, NoReturn, Self, Unpack, overload
 
 import numpy as np
 
+from pdavis_cv._advice import Advises
 from pdavis_cv._opencv import native_capture
 from pdavis_cv._options import names_options
 from pdavis_cv._types import Image
@@ -58,7 +59,7 @@ class CaptureKeywords(AllKeywords, total=False):
 
 
 @names_options(FusionOptions, SourceOptions, rest="method_parameters")
-class VideoCapture:
+class VideoCapture(Advises):
     """Read a recording as a sequence of images, like cv2.VideoCapture.
 
     Errors of the source are reported as cv2 does: opening and reading raise no

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pdavis_cv
+from pdavis_cv._advice import Advises
+from pdavis_cv._options import changed
 from pdavis_cv._types import Events, Facts, Parameters
 from pdavis_cv._workers import Begun, Workers
 from pdavis_cv.calibration.corrected import FrameCorrection
@@ -49,7 +51,7 @@ __all__ = ["Fusion"]
 _AFTER = 2**62
 
 
-class Fusion:
+class Fusion(Advises):
     """Iterate over the fused images of a source; return to any earlier position.
 
     The parameters are those of `fuse`.  `VideoCapture` is built on it.  Nothing is read
@@ -87,11 +89,12 @@ class Fusion:
         if not isinstance(recording, Source):
             how = ("; open it first: with pdavis_cv.open_recording(path) as recording, "
                    "or pdavis_cv.open_source(address)"
-                   if isinstance(recording, (str, os.PathLike)) else "")
+                   if isinstance(recording, (str, os.PathLike)) else
+                   "; pdavis_cv.recording_from_arrays makes one of arrays")
             raise TypeError(
                 "recording must be a Recording (see open_recording) or a Source, got "
                 f"{type(recording).__name__}{how}")
-        options = (options or FusionOptions()).replace(**changes)
+        options = changed(FusionOptions, options, changes)
         info = recording.info
         check_times_fit(options, info)
         if info.demosaic:

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Any
 
+from pdavis_cv._advice import Advises
 from pdavis_cv._workers import Begun
 from pdavis_cv.fusion.engine import Fusion
 from pdavis_cv.fusion.options import FusionOptions, takes_options
@@ -81,7 +82,7 @@ def fuse(
     return ReadAhead(fusion) if ahead else fusion
 
 
-class ReadAhead(Iterator[PolarFrame]):
+class ReadAhead(Advises, Iterator[PolarFrame]):
     """Iterate over a Fusion's images, which are the same, read ahead.
 
     The calling thread brings the state to the time of the next image and reads it.

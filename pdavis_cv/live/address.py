@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 from urllib.parse import parse_qsl
 
-from pdavis_cv._options import takes
+from pdavis_cv._options import changed, takes
 from pdavis_cv.errors import DeviceError
 from pdavis_cv.live.base import Address, LiveSource
 from pdavis_cv.live.faults import FaultySource, LinkFaults
@@ -93,7 +93,7 @@ def open_source(
     """
     if isinstance(where, Source):
         return where
-    options = (options or SourceOptions()).replace(**changes)
+    options = changed(SourceOptions, options, changes)
     if not is_address(where):
         return open_recording(where, options)
     assert isinstance(where, str)

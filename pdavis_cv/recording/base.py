@@ -13,6 +13,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._advice import Advises
 from pdavis_cv._checks import whole_number
 from pdavis_cv.events import EVENT_DTYPE, FAR, checked_time
 from pdavis_cv.recording.facts import FILE, Fact, stated
@@ -35,8 +36,7 @@ __all__ = [
     "joined",
 ]
 
-MAX_PACKET_EVENTS = 65_536
-MAX_PACKET_US = 10_000
+MAX_PACKET_EVENTS, MAX_PACKET_US = 65_536, 10_000
 
 IMU_DTYPE = np.dtype([
     ("t", "<i8"), ("temperature", "<f4"), ("accel", "<f4", 3), ("gyro", "<f4", 3)])
@@ -48,7 +48,7 @@ TRIGGER_DTYPE = np.dtype([("t", "<i8"), ("type", "u1")])
 4/5 generator rising/falling, 6/7 frame start/end, 8/9 exposure start/end."""
 
 
-class ApsFrame:
+class ApsFrame(Advises):
     """One intensity frame after correlated double sampling.
 
     Parameters
@@ -255,7 +255,7 @@ def joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
 
 
 @dataclass(slots=True, eq=False)
-class Packet:
+class Packet(Advises):
     """A short piece of a recording; its arrays belong to the receiver.
 
     Packets of a recording do not overlap and come in time order.  Each holds at
@@ -301,7 +301,7 @@ class Packet:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordingInfo:
+class RecordingInfo(Advises):
     """Facts about a recording from its header.
 
     Counts and ``stop_us`` are None when the file has no index.
@@ -457,7 +457,7 @@ class Report:
     problems: tuple[Problem, ...]
 
 
-class Source(ABC):
+class Source(Advises, ABC):
     """Packets in time order that may be readable only once: a file or a camera.
 
     Use as a context manager, or call `close`.

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pdavis_cv._options import takes
+from pdavis_cv._options import changed, takes
 from pdavis_cv._remote import as_path, is_remote
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Recording
@@ -66,8 +66,14 @@ def open_recording(
     """
     if isinstance(source, Recording):
         return source
-    options = (options or SourceOptions()).replace(**changes)
+    options = changed(SourceOptions, options, changes)
     if not isinstance(source, str | os.PathLike):
+        if not isinstance(source, Sequence) or not all(
+                isinstance(one, str | os.PathLike) for one in source) or not source:
+            raise TypeError(
+                "source must be a path, or several of images, got "
+                f"{type(source).__name__}; pdavis_cv.recording_from_arrays takes "
+                'arrays, and pdavis_cv.open_source("usb:") a camera')
         if len(source) > 1:
             return read_with(FORMATS["images"], _images(source), options)
         [source] = source

@@ -154,8 +154,11 @@ def first_bytes(path: Path) -> bytes:
             return file.read(_HEAD)
     except OSError as error:
         scheme, colon, _ = str(path).partition(":")
-        live = "; the address of a live source is for pdavis_cv.open_source" if (
-            colon and len(scheme) > 1 and scheme.isalpha()) else ""  # C: is a disk
+        live = ""
+        if colon and len(scheme) > 1 and scheme.isalpha():     # C: is a disk
+            live = "; the address of a live source is for pdavis_cv.open_source"
+        elif isinstance(error, FileNotFoundError) and str(path).isalnum():
+            live = "; a camera has an address, such as usb:"
         raise RecordingError(
             f"{path}: cannot be opened: {error.strerror or error}{live}") from error
 
@@ -207,7 +210,11 @@ def writer_for(
         (one for one in FORMATS.usable().values()
          if one.writer is not None and suffix in one.suffixes), None)
     if found is None:
-        raise ValueError(f"{Path(path).name}: no format ends in {suffix!r}")
+        raise ValueError(
+            f"{Path(path).name}: the name must end in "
+            + ", ".join(dict.fromkeys(
+                suffix for one in FORMATS.usable().values() if one.writer is not None
+                for suffix in one.suffixes)))
     if found.writer is None:
         raise ValueError(f"format {name!r} can only be read")
     return found, loaded(found.writer)

@@ -146,7 +146,14 @@ def dolp_bgr(
     -------
     ndarray of uint8, shape (H, W, 3)
         BGR.
+
+    Raises
+    ------
+    ValueError
+        If `top` is not positive, or `dolp` is not one plane.
     """
+    if not top > 0:
+        raise ValueError(f"top must be positive, got {top}")
     return through_table(
         _kernels.ramp_bgr, one_plane("dolp", dolp), valid, 255 / top, DOLP_TABLE,
         out=out)
@@ -211,9 +218,10 @@ def fade(
 
     Raises
     ------
-    ValueError
-        If a shape differs.
+    TypeError, ValueError
+        If a shape differs, or `picture` is none that can be written to.
     """
+    canvas(picture, (*np.shape(picture)[:2], 3), "picture")
     kept: NDArray[np.uint8] = (
         np.empty((0, 0), np.uint8) if valid is None
         else np.ascontiguousarray(valid, np.bool_).view(np.uint8))
@@ -271,7 +279,7 @@ def through_table(
     Raises
     ------
     TypeError
-        If `out` is not uint8.
+        If `out` is not uint8, or `valid` is not bool, or uint8 as a mask of cv2.
     ValueError
         If `valid` or `out` has another shape, or `out` cannot be written to.
     """
@@ -281,7 +289,10 @@ def through_table(
     rows = plane.shape if plane.ndim == 2 else (1, plane.size)
     good: NDArray[np.uint8] = np.empty((0, 0), np.uint8)
     if valid is not None:
-        mask = np.asarray(valid, np.bool_)
+        mask = np.asarray(valid)
+        if mask.dtype.kind not in "bu":
+            raise TypeError(f"valid must be bool, got {mask.dtype}")
+        mask = mask.astype(np.bool_, copy=False)
         if mask.shape != plane.shape:
             raise ValueError(
                 f"valid must have shape {plane.shape}, got {mask.shape}")
@@ -293,16 +304,19 @@ def through_table(
     return picture
 
 
-def canvas(out: Picture | None, shape: tuple[int, ...]) -> Picture:
+def canvas(
+    out: Picture | None, shape: tuple[int, ...], name: str = "out"
+) -> Picture:
     """Return `out` after checking it, or a new picture if it is None."""
     if out is None:
         return np.empty(shape, np.uint8)
     if out.dtype != np.uint8:
-        raise TypeError(f"out must be uint8, got {out.dtype}")
+        raise TypeError(f"{name} must be uint8, got {out.dtype}")
     if out.shape != shape or len(shape) != 3:
-        raise ValueError(f"out must have shape {shape}, (H, W, 3), got {out.shape}")
+        raise ValueError(
+            f"{name} must have shape {shape}, (H, W, 3), got {out.shape}")
     if out.strides[1:] != (3, 1) or not out.flags.writeable:
         raise ValueError(
-            "out must be writeable, the pixels of a row contiguous, got strides "
+            f"{name} must be writeable, the pixels of a row contiguous, got strides "
             f"{out.strides}, writeable {out.flags.writeable}")
     return out

@@ -92,11 +92,18 @@ def png_of(picture: Image) -> bytes:
 
     Raises
     ------
+    TypeError
+        If it is something else, such as a plane of floats, which has no colours yet.
     ImportError
         If OpenCV is missing.
     OSError
         If it cannot encode this picture.
     """
+    if getattr(picture, "dtype", None) not in (np.uint8, np.uint16):
+        raise TypeError(
+            "picture must be uint8 or uint16, got "
+            f"{getattr(picture, 'dtype', type(picture).__name__)}; render.aop_bgr, "
+            "dolp_bgr, grey_bgr and summary make pictures")
     done, data = opencv().imencode(".png", picture)
     if not done:
         raise OSError(f"OpenCV cannot encode {picture.shape} as PNG")

@@ -210,6 +210,12 @@ def _traces(
 
 def _tones(args: argparse.Namespace, fused: analysis.Traces) -> list[analysis.Tone]:
     """Return DoLP's periodic component in each region."""
+    for roi, row in zip(fused.rois, fused.table, strict=True):
+        known = np.count_nonzero(np.isfinite(row["dolp"]))
+        if known < 8:
+            raise UsageError(
+                f"region {roi.name}: its DoLP is known in {known} images, and 8 are "
+                "needed; pdavis view shows which pixels are valid")
     if args.load_hz is not None:
         return [analysis.fit_tone(fused.t_us, row["dolp"], args.load_hz)
                 for row in fused.table]
