@@ -125,40 +125,52 @@ PDAVIS_INLINE int node_of(double ratio, double *share)
     return node;
 }
 
-/* Parts of a threshold passed since the last event, OFF and ON, and their rates per s.
-   (2a) to (2c) */
-PDAVIS_INLINE void part_of(const around_t *a, const camera_t *c, double part[2],
-                           double rate[2])
+/* Parts of a threshold, OFF and ON, passed at a time x since the last event, s:
+   x (rise + x bend).  (2a) to (2c) */
+PDAVIS_INLINE void course_of(const around_t *a, const camera_t *c, double rise[2],
+                             double bend[2])
 {
     int on = a->sign > 0;
-    part[0] = part[1] = rate[0] = rate[1] = 0.0;
+    rise[0] = rise[1] = bend[0] = bend[1] = 0.0;
     if (a->gap > 0.0) {
-        double s = a->since / a->gap, p = moves(a->gap, c) * a->next_weight;
-        int to = a->next_sign > 0;
-        part[to] = a->next_sign * s * p;
-        rate[to] = a->next_sign * p / a->gap;
+        double p = moves(a->gap, c) * a->next_weight / a->gap;
+        rise[a->next_sign > 0] = a->next_sign * p;
         if (a->next_sign != a->sign && !a->flickers) {
             double q = TURN;
             if (a->context < 3) {
                 q = a->before / a->gap;
                 q = q < EARLIEST_TURN ? EARLIEST_TURN : q > 1.0 ? 1.0 : q;
             }
-            part[on] = a->sign * s * (1.0 - s) / q * p;
-            rate[on] = a->sign * (1.0 - 2.0 * s) / q * p / a->gap;
+            rise[on] = a->sign * p / q;
+            bend[on] = -rise[on] / a->gap;
         }
     } else if (!a->flickers) {
         double length = a->silent > LEAST_SILENCE ? a->silent : LEAST_SILENCE;
         double before = a->before > LEAST_GAP ? a->before : LEAST_GAP, share, end, bow;
-        double ratio = length / before, s = a->since / length, z;
+        double ratio = length / before, z;
         int node = node_of(ratio, &share);
         const double *e = &c->end[a->context][node], *b = &c->bow[a->context][node];
         end = e[0] + share * (e[1] - e[0]);
         bow = 4.0 * (b[0] + share * (b[1] - b[0]));
         if (ratio < FIRST_RATIO)
             end = c->end[a->context][0] * ratio / FIRST_RATIO;
-        z = a->sign * goes_on(length > before ? length : before, c);
-        part[on] = z * s * (end + bow * (1.0 - s));
-        rate[on] = z * (end + bow * (1.0 - 2.0 * s)) / length;
+        z = a->sign * goes_on(length > before ? length : before, c) / length;
+        rise[on] = z * (end + bow);
+        bend[on] = -z * bow / length;
+    }
+}
+
+/* Parts of a threshold passed since the last event, OFF and ON, and their rates per s.
+   */
+PDAVIS_INLINE void part_of(const around_t *a, const camera_t *c, double part[2],
+                           double rate[2])
+{
+    double rise[2], bend[2], x = a->since;
+    int j;
+    course_of(a, c, rise, bend);
+    for (j = 0; j < 2; j++) {
+        part[j] = x * (rise[j] + x * bend[j]);
+        rate[j] = rise[j] + 2.0 * x * bend[j];
     }
 }
 
@@ -193,23 +205,20 @@ PDAVIS_INLINE double open_variance(const around_t *a, const camera_t *c)
 }
 
 /* A row of an image: planes (level at the epoch, its slope, variance, its slope and
-   curvature per s), what other pixels say and the lamp's ripple, to ln light,
-   its variance and validity. */
+   curvature per s) and the lamp's ripple, to ln light, which is what other pixels say
+   before, its variance and validity. */
 PDAVIS_CLONES PDAVIS_UNUSED static void show_row(
     const float *restrict level, const float *restrict slope,
     const float *restrict variance, const float *restrict grows,
-    const float *restrict bends, const float *restrict around, float since,
+    const float *restrict bends, float since,
     float ripple, float most, ptrdiff_t n, float *restrict log, float *restrict out,
     uint8_t *restrict valid)
 {
     ptrdiff_t i;
     for (i = 0; i < n; i++) {
-        log[i] = level[i] + since * slope[i];
+        log[i] += level[i] + since * slope[i];
         out[i] = variance[i] + since * (grows[i] + since * bends[i]);
     }
-    if (around)
-        for (i = 0; i < n; i++)
-            log[i] += around[i];
     if (ripple != 0.0f)
         for (i = 0; i < n; i++)
             log[i] += ripple;
@@ -228,10 +237,8 @@ PDAVIS_CLONES PDAVIS_UNUSED static void mean_row(
         out[x] = own[x] + 0.25f * (up[x] + down[x]);
     for (x = 2; x + 2 < n; x++)
         out[x] += 0.25f * (near[x - 2] + near[x + 2]);
-    for (x = 0; x < n; x++)
-        if (x < 2 || x + 2 >= n)
-            out[x] += 0.25f * (near[x < 2 ? 0 : x - 2]
-                               + near[x + 2 < n ? x + 2 : n - 1]);
+    for (x = 0; x < n; x += x == 1 && n > 4 ? n - 3 : 1)
+        out[x] += 0.25f * (near[x < 2 ? 0 : x - 2] + near[x + 2 < n ? x + 2 : n - 1]);
     for (x = 0; x + 1 < n; x += 2) {
         float mean = 0.25f * (cell[x] + cell[x + 1] + other[x] + other[x + 1]);
         out[x] += mean;

@@ -31,17 +31,30 @@ cdef extern from "_increments.h" nogil:
     double weight_of(double before, int same, const camera_t* c)
     double step_of(double before, int on, const camera_t* c)
     int context_of(int run, double before, double before2)
+    void course_of(const around_t* a, const camera_t* c, double* rise, double* bend)
     void part_of(const around_t* a, const camera_t* c, double* part, double* rate)
     double open_variance(const around_t* a, const camera_t* c)
     double goes_on(double gap, const camera_t* c)
     double drift_of(const around_t* a, const camera_t* c, double* rate)
     void show_row(const float* level, const float* slope, const float* variance,
-                  const float* grows, const float* bends, const float* around,
-                  float since, float ripple, float most,
-                  Py_ssize_t n, float* log, float* out, uint8_t* valid)
+                  const float* grows, const float* bends,
+                  float since, float ripple, float most, Py_ssize_t n, float* log,
+                  float* out, uint8_t* valid)
     void mean_row(const float* own, const float* cell, const float* other,
                   const float* near, const float* up, const float* down, Py_ssize_t n,
                   float* out)
+
+
+cdef inline void mean_at(const float* planes, Py_ssize_t y, Py_ssize_t h, Py_ssize_t w,
+                         float* out) noexcept nogil:
+    """A row of the pixel's plane, plus the mean of its macropixel's, and that of the
+    four nearest pixels with its polarizer (the edge is repeated)."""
+    cdef const float* cell = planes + h * w
+    cdef const float* near = cell + h * w
+    mean_row(planes + y * w, cell + y * w, cell + min(y ^ 1, h - 1) * w,
+             near + y * w, near + max(y - 2, 0) * w, near + min(y + 2, h - 1) * w, w,
+             out)
+
 
 # An event in the store.  Sums include it.
 cdef struct stored_t:
@@ -95,6 +108,18 @@ cdef struct shown_t:
     float before, next_weight, drift, extra, opened
     int8_t sign, next_sign, context, state
 
+# What a pixel's counts at other times, and now, say of it, of its macropixel and of its
+# neighbours, until one of these times comes to another event: a parabola in the time
+# since `origin` (s), and moments of the weights of the times in the open silence.
+cdef struct course_t:
+    int64_t until, origin   # us
+    int64_t last            # us: the event of the open silence
+    double[3] level
+    float[3] rise, bend
+    float[3][3] open
+    float before
+    int8_t sign, context    # of the open silence, sign 0: none
+
 
 cdef inline double lead_of(double slope, double light,
                            const camera_t* c) noexcept nogil:
@@ -140,7 +165,8 @@ cdef struct look_t:
     around_t around
     double[2] light
     double[2] count
-    int64_t last, next
+    int64_t last, next      # next: NEVER where it is not known,
+    int64_t unknown         # but stored: its time, else NEVER
 
 
 cdef inline const camera_t* camera_of(const double[::1] numbers) except NULL:
@@ -202,8 +228,10 @@ cdef inline void look(const pixel_t* p, const stored_t* store, int64_t t, int64_
         out.light[0] = out.light[1] = out.count[0] = out.count[1] = 0.0
     out.around.since = 1e-6 * <double>(t - out.last)
     out.around.silent = 1e-6 * <double>(known - out.last)
-    out.next = NEVER
-    if after != NULL and after.t <= known:
+    out.next = out.unknown = NEVER
+    if after != NULL and after.t > known:
+        out.unknown = after.t
+    elif after != NULL:
         out.next = after.t
         out.around.gap = 1e-6 * <double>max(after.t - out.last, 1)
         out.around.next_sign = after.sign

@@ -51,7 +51,7 @@ def increments_push(const event_t[::1] events not None, int64_t last, int64_t fi
                 store[p.newest_index].next = index
             if p.next < 0:
                 p.next = index
-                list_pixel(p, e.pixel, moving, &listed)
+            list_pixel(p, e.pixel, moving, &listed)
             p.newest = e[0]
             p.newest_index = index
         else:

@@ -1,9 +1,10 @@
 """What the events of a pixel say at a frame and around a time.  Inline only."""
-from libc.stdint cimport int64_t
+from libc.stdint cimport int8_t, int64_t
+from libc.string cimport memset
 
 from _kernels._increments cimport (
-    LAGS, MOST_SAMPLES, NEVER, camera_t, drift_of, goes_on, lead_of, look, look_t,
-    node_t, open_variance, part_of, pixel_t, stored_t, weight)
+    LAGS, MOST_SAMPLES, NEVER, around_t, camera_t, course_of, course_t, drift_of,
+    goes_on, lead_of, look, look_t, node_t, open_variance, part_of, pixel_t, stored_t)
 from _kernels._lamp cimport lamp_flickers, lamp_t, ripple
 from _kernels._math cimport exp_f, log_f
 
@@ -94,94 +95,148 @@ cdef inline void node_of(const pixel_t* p, const stored_t* store, int64_t begin,
 
 
 cdef struct lags_t:
-    # Lags that are known, and the sums of weight * lag and weight * lag^2 of the three
-    # places (own, cell, near), OFF and ON.
+    # The times whose counts have a weight: now, then the lags that are known.
     int n
-    int[5] index
-    double[3][2] first, second
-    int64_t oldest, newest  # us: the longest lags back, and ahead
+    int64_t[6] lag          # us
+    double[6][3][2] weight  # for the pixel, its macropixel, its neighbours; OFF, ON
+    double[3][2][3] moment  # of all these weights: sums of weight lag^0, 1 and 2
+    int64_t oldest          # us: the longest lag back
 
 
 cdef inline lags_t lags_of(const camera_t* c, int64_t ahead) noexcept nogil:
     cdef lags_t out
-    cdef int i, j
     cdef double lag
-    out.n = 0
-    out.oldest = out.newest = 0
+    cdef int i, j, k
+    out.n = 1
+    out.lag[0] = out.oldest = 0
     for j in range(2):
-        for i in range(3):
-            out.first[i][j] = out.second[i][j] = 0.0
+        out.weight[0][0][j] = c.own_now[j]
+        out.weight[0][1][j] = c.cell_now[j]
+        out.weight[0][2][j] = c.near_now[j]
+        for k in range(3):
+            out.moment[k][j][0] = out.weight[0][k][j]
+            out.moment[k][j][1] = out.moment[k][j][2] = 0.0
     for i in range(LAGS):
-        lag = c.lag[i]
-        if lag == 0.0 or 1e6 * lag > <double>ahead:
+        if c.lag[i] == 0.0 or 1e6 * c.lag[i] > <double>ahead:
             continue
-        out.index[out.n] = i
-        out.n += 1
-        out.oldest = max(out.oldest, <int64_t>(-1e6 * lag))
-        out.newest = max(out.newest, <int64_t>(1e6 * lag))
+        out.lag[out.n] = <int64_t>(1e6 * c.lag[i])
+        out.oldest = max(out.oldest, -out.lag[out.n])
+        lag = 1e-6 * <double>out.lag[out.n]
         for j in range(2):
-            out.first[0][j] += lag * c.own[i][j]
-            out.first[1][j] += lag * c.cell[i][j]
-            out.first[2][j] += lag * c.near[i][j]
-            out.second[0][j] += lag * lag * c.own[i][j]
-            out.second[1][j] += lag * lag * c.cell[i][j]
-            out.second[2][j] += lag * lag * c.near[i][j]
+            out.weight[out.n][0][j] = c.own[i][j]
+            out.weight[out.n][1][j] = c.cell[i][j]
+            out.weight[out.n][2][j] = c.near[i][j]
+            for k in range(3):      # counts less those now
+                out.weight[0][k][j] -= out.weight[out.n][k][j]
+                out.moment[k][j][1] += out.weight[out.n][k][j] * lag
+                out.moment[k][j][2] += out.weight[out.n][k][j] * lag * lag
+        out.n += 1
     return out
+
+
+cdef inline void weigh_silence(const look_t* now, int64_t ahead, const lags_t* lags,
+                               course_t* out) noexcept nogil:
+    """Weigh counts if all times lie in the silence that is open."""
+    cdef int i, k, on = now.around.sign > 0
+    for k in range(3):
+        out.level[k] = (lags.moment[k][0][0] * now.count[0]
+                        + lags.moment[k][1][0] * now.count[1])
+        for i in range(3):
+            out.open[k][i] = <float>lags.moment[k][on][i]
+    out.sign, out.last = <int8_t>now.around.sign, now.last
+    if now.around.sign:
+        out.context, out.before = <int8_t>now.around.context, <float>now.around.before
+    if now.unknown != NEVER:
+        out.until = now.unknown - ahead
+
+
+cdef inline void weigh_counts(const pixel_t* p, const stored_t* store, int64_t t,
+                              int64_t ahead, const lags_t* lags, const camera_t* c,
+                              course_t* out) noexcept nogil:
+    """Weigh a pixel's counts at other times, and now, for times around t.
+
+    Events up to t + ahead (us) are known.  It depends on the events between which these
+    times lie, not on t itself.
+    """
+    cdef look_t[6] looks
+    cdef const look_t* at
+    cdef double[2] rise, bend
+    cdef double w, x, lag
+    cdef int i, j, k
+    memset(out, 0, sizeof(course_t))
+    out.until, out.origin = NEVER, -NEVER
+    if p.at.run == 0 and p.next < 0:
+        return
+    look(p, store, t, t + ahead, c, &looks[0])
+    if looks[0].next == NEVER and looks[0].last <= t - lags.oldest:
+        weigh_silence(&looks[0], ahead, lags, out)
+        return
+    out.origin = looks[0].last
+    for i in range(1, lags.n):
+        look(p, store, t + lags.lag[i], t + ahead, c, &looks[i])
+        out.origin = max(out.origin, looks[i].last - lags.lag[i])
+    for i in range(lags.n):
+        at = &looks[i]
+        for k in range(3):
+            for j in range(2):
+                out.level[k] += lags.weight[i][k][j] * at.count[j]
+        if at.next != NEVER:
+            out.until = min(out.until, at.next - lags.lag[i])
+        elif at.unknown != NEVER:
+            out.until = min(out.until, at.unknown - ahead)
+        if at.around.sign == 0:
+            continue
+        if at.next != NEVER:
+            course_of(&at.around, c, rise, bend)
+            x = 1e-6 * <double>(out.origin + lags.lag[i] - at.last)
+            for k in range(3):
+                for j in range(2):
+                    w = lags.weight[i][k][j]
+                    out.level[k] += w * x * (rise[j] + x * bend[j])
+                    out.rise[k] += <float>(w * (rise[j] + 2.0 * x * bend[j]))
+                    out.bend[k] += <float>(w * bend[j])
+        else:
+            out.last, out.sign = at.last, <int8_t>at.around.sign
+            out.context = <int8_t>at.around.context
+            out.before = <float>at.around.before
+            lag = 1e-6 * <double>lags.lag[i]
+            for k in range(3):
+                w = lags.weight[i][k][at.around.sign > 0]
+                out.open[k][0] += <float>w
+                out.open[k][1] += <float>(w * lag)
+                out.open[k][2] += <float>(w * lag * lag)
+
+
+cdef inline void say(const course_t* s, int64_t t, int64_t known, const camera_t* c,
+                     double* out) noexcept nogil:
+    """What the counts say at t, for the pixel, its macropixel and its neighbours."""
+    cdef around_t a
+    cdef double[2] rise, bend
+    cdef double x = 1e-6 * <double>(t - s.origin), r, b
+    cdef int k
+    for k in range(3):
+        out[k] = s.level[k] + x * (s.rise[k] + x * s.bend[k])
+    if s.sign == 0:
+        return
+    a.sign, a.context, a.before = s.sign, s.context, s.before
+    a.gap, a.flickers = 0.0, 0
+    a.silent = 1e-6 * <double>(known - s.last)
+    course_of(&a, c, rise, bend)
+    r, b = rise[s.sign > 0], bend[s.sign > 0]
+    x = 1e-6 * <double>(t - s.last)
+    for k in range(3):
+        out[k] += (s.open[k][0] * x * (r + x * b)
+                   + s.open[k][1] * (r + 2.0 * x * b) + s.open[k][2] * b)
 
 
 cdef inline int64_t around_of(const pixel_t* p, const stored_t* store, int64_t t,
                               int64_t known, const lags_t* lags, const camera_t* c,
                               double* out) noexcept nogil:
-    """Weigh a pixel's counts at other times, and now: for itself, its macropixel and
-    its neighbours.
+    """Weigh a pixel's counts at other times, and now, of the events up to `known`.
 
     Returns the event of the silence that is open at the longest lag ahead, 0: none.
     """
-    cdef look_t now, then
-    cdef double[2] part, rate, other
-    cdef double bend, d, length, since
-    cdef int i, j, k, on
-    out[0] = out[1] = out[2] = 0.0
-    if p.at.run == 0 and p.next < 0:
-        return 0
-    look(p, store, t, known, c, &now)
-    part[0] = part[1] = 0.0
-    if now.around.sign:
-        part_of(&now.around, c, part, rate)
-    for j in range(2):
-        part[j] += now.count[j]
-        out[0] += c.own_now[j] * part[j]
-        out[1] += c.cell_now[j] * part[j]
-        out[2] += c.near_now[j] * part[j]
-    if now.last < t - lags.oldest and now.next > known:
-        # All lags lie in a silence, in which the part is a parabola: its rates at both
-        # ends give it.
-        if now.around.sign and goes_on(
-                max(now.around.silent, now.around.before), c) > 0.0:
-            on = now.around.sign > 0
-            length = now.around.silent
-            since = now.around.since
-            now.around.since = 0.0
-            part_of(&now.around, c, other, rate)
-            d = rate[on]
-            now.around.since = length
-            part_of(&now.around, c, other, rate)
-            bend = 0.5 * (rate[on] - d) / max(length, 1e-6)
-            d += 2.0 * bend * since
-            for k in range(3):
-                out[k] += d * lags.first[k][on] + bend * lags.second[k][on]
-        return now.last if now.last != -NEVER else 0
-    for k in range(lags.n):
-        i = lags.index[k]
-        look(p, store, t + <int64_t>(1e6 * c.lag[i]), known, c, &then)
-        other[0] = other[1] = 0.0
-        if then.around.sign:
-            part_of(&then.around, c, other, rate)
-        for j in range(2):
-            d = then.count[j] + other[j] - part[j]
-            out[0] += c.own[i][j] * d
-            out[1] += c.cell[i][j] * d
-            out[2] += c.near[i][j] * d
-    if lags.newest > 0 and now.next <= known:
-        look(p, store, t + lags.newest, known, c, &now)
-    return now.last if now.last != -NEVER and now.next > known else 0
+    cdef course_t course
+    weigh_counts(p, store, t, known - t, lags, c, &course)
+    say(&course, t, known, c, out)
+    return course.last

@@ -4,7 +4,7 @@ from libc.stdint cimport int64_t
 
 from _kernels._increments cimport (
     CLAIM, GATE, HOT_MEMORY, LEARN_EVENTS, LESS, MORE, MOST_SAMPLES, PRIOR_ODDS,
-    SHOWN, anchor_t, camera_of, camera_t, mean_row, node_t, pixel_t,
+    SHOWN, anchor_t, camera_of, camera_t, mean_at, node_t, pixel_t,
     stored_t)
 from _kernels._increments_frames cimport around_of, lags_of, lags_t, node_of
 from _kernels._lamp cimport lamp_of, lamp_t
@@ -313,15 +313,11 @@ def increments_differ(const double[:, :, ::1] new not None,
 
 def increments_mean(const float[:, :, ::1] planes not None, float[:, ::1] out not None,
                     bands not None):
-    """Add the pixel's plane, the mean of its macropixel's, and that of the four nearest
-    pixels with its polarizer (the edge is repeated)."""
-    cdef Py_ssize_t h = out.shape[0], w = out.shape[1], y, other, first, last
+    """Add the pixel's plane and the means of `mean_at`."""
+    cdef Py_ssize_t h = out.shape[0], w = out.shape[1], y, first, last
     first, last = bands
     if planes.shape[0] != 3 or planes.shape[1] != h or planes.shape[2] != w:
         raise ValueError("increments_mean: all images must have one shape")
     with nogil:
         for y in range(first, last):
-            other = min(y ^ 1, h - 1)
-            mean_row(&planes[0, y, 0], &planes[1, y, 0], &planes[1, other, 0],
-                     &planes[2, y, 0], &planes[2, max(y - 2, 0), 0],
-                     &planes[2, min(y + 2, h - 1), 0], w, &out[y, 0])
+            mean_at(&planes[0, 0, 0], y, h, w, &out[y, 0])

@@ -1,17 +1,26 @@
 """Images of the filter of log intensity (_increments.pyx)."""
 from libc.math cimport fabs
 from libc.stdint cimport int32_t, int64_t, uint8_t
+from libc.string cimport memset
 
 from _kernels._increments cimport (
-    AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEVEL,
-    LISTED, MOST_SAMPLES, NEVER, PER_TURN, PRIOR_ODDS, SLOPE, SMOOTH_FROM, UNKNOWN,
-    VARIANCE, anchor_t, around_t, camera_of, camera_t, drift_of, goes_on, lead_of,
-    node_t, open_variance, part_of, pixel_t, show_row, shown_t, stored_t, weight)
-from _kernels._increments_frames cimport around_of, corner_of, lags_of, lags_t, node_of
+    AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEVEL, LISTED,
+    MOST_SAMPLES, NEVER, PER_TURN, PRIOR_ODDS, SLOPE, SMOOTH_FROM, UNKNOWN,
+    VARIANCE, anchor_t, around_t, camera_of, camera_t, course_t, drift_of, goes_on,
+    lead_of, mean_at, node_t, open_variance, part_of, pixel_t, show_row, shown_t,
+    stored_t, weight)
+from _kernels._increments_frames cimport (
+    around_of, corner_of, lags_of, lags_t, node_of, say, weigh_counts)
 from _kernels._lamp cimport lamp_flickers, lamp_of, lamp_t, ripple
 from _kernels._math cimport exp_f
 from _kernels._model cimport wave_t
 
+cdef extern from "_prefetch.h" nogil:
+    void prefetch "PDAVIS_PREFETCH"(const void*)
+    void prefetch_all "PDAVIS_PREFETCH_ALL"(const void*, size_t)
+
+cdef enum:
+    HOP = 8                     # pixels of the list between prefetches
 
 cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t* node,
                           const anchor_t* a, const node_t* later, double b, double v,
@@ -106,17 +115,18 @@ cdef struct frames_t:
     int samples
     Py_ssize_t h, w
     int64_t epoch, ahead
+    bint fresh                  # the frames, or their estimates, are others
 
 
 cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_,
-                          Py_ssize_t x,
-                          const frames_t* f, const camera_t* c, double* log,
+                          bint rests, Py_ssize_t x, const frames_t* f,
+                          const camera_t* c, double* log,
                           double* variance) noexcept nogil:
     """ln(I + black) at t without what other times and pixels say, and its variance."""
     cdef around_t a
     cdef double[2] part, rate
     cdef double j = 0.0, v = s.extra, v1, v2, u, slope = 0.0, light, theta2
-    if s.sign and not s.state & HOT:
+    if s.sign and not rests and not s.state & HOT:
         a.sign = s.sign
         a.next_sign = s.next_sign
         a.next_weight = s.next_weight
@@ -170,15 +180,16 @@ cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_
 def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store not None,
                     frames not None, times not None, const double[::1] camera not None,
                     const int32_t[::1] moving not None, uint8_t[::1] moves not None,
-                    shown_t[:, ::1] shown not None, float[:, :, ::1] planes not None,
+                    shown_t[:, ::1] shown not None, course_t[:, ::1] courses,
+                    float[:, :, ::1] planes not None,
                     float[:, :, ::1] around, bands not None):
     """Bring the planes of the listed pixels up to date for a read.
 
     frames is (node, gains, exposure, samples, anchors, later or None, back, middles,
-    around, waves), times (t, known, epoch).  Of the list, the entries first <= i < last are
-    processed; moves tells
-    which may change before their next event or frame.  around receives what
-    `increments_around` writes, less that of the frame before; None: nothing is weighed.
+    around, waves), times (t, known, epoch, whether all frames and pixels are new).  Of
+    the list, the entries first <= i < last are processed; moves tells which may change
+    before their next event or frame.  around receives what `increments_around` writes,
+    less that of the frame before, by way of courses; None: nothing is weighed.
 
     Between events, and farther than all lags from them, a pixel's value is interpolated
     between times since the event that grow by `KNOT`: an image does not depend on which
@@ -195,18 +206,19 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
     cdef frames_t f
     cdef lamp_t lamp
     cdef lags_t lags
-    cdef Py_ssize_t first, last, i, at, size = pixels.shape[0] * pixels.shape[1]
+    cdef Py_ssize_t first, last, i, k, at, size = pixels.shape[0] * pixels.shape[1]
     cdef int64_t t, known
     cdef float* plane = &planes[0, 0, 0]
     first, last = bands
-    t, known, f.epoch = times
+    t, known, f.epoch, f.fresh = times
     node, gains, exposure, f.samples, anchors, later, back, middles, then, waves = frames
     lamp = lamp_of(waves)
     f.lamp = &lamp
     f.h, f.w = pixels.shape[0], pixels.shape[1]
     if (node.shape[0] != f.h or node.shape[1] != f.w or anchors.shape[0] != f.h
             or anchors.shape[1] != f.w or gains.shape[0] != f.h
-            or gains.shape[1] != f.w or gains.shape[2] != 2 or shown.shape[0] != f.h or shown.shape[1] != f.w
+            or gains.shape[1] != f.w or gains.shape[2] != 2
+            or shown.shape[0] != f.h or shown.shape[1] != f.w
             or planes.shape[0] != 5 or planes.shape[1] != f.h or planes.shape[2] != f.w
             or exposure.shape[0] != 2 or exposure.shape[1] != f.w
             or middles.shape[0] != 2 or middles.shape[1] != f.w
@@ -217,7 +229,9 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
             or back.shape[1] != f.h or back.shape[2] != f.w):
         raise ValueError("increments_move: all images must have one shape")
     if around is not None and (
-            then is None or then.shape[0] != 3 or around.shape[0] != 3
+            then is None or courses is None or courses.shape[0] != f.h
+            or courses.shape[1] != f.w
+            or then.shape[0] != 3 or around.shape[0] != 3
             or around.shape[1] != f.h or then.shape[1] != f.h
             or around.shape[2] != f.w or then.shape[2] != f.w):
         raise ValueError("increments_move: all images must have one shape")
@@ -232,27 +246,42 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
     with nogil:
         lags = lags_of(c, f.ahead)
         for i in range(first, last):
+            at = moving[i + HOP] if i + HOP < last else 0
+            if 0 <= at < size:
+                prefetch_all(&pixels[0, 0] + at, sizeof(pixel_t))
+                prefetch_all(&shown[0, 0] + at, sizeof(shown_t))
+                for k in range(5):
+                    prefetch(plane + k * size + at)
+                if around is not None:
+                    prefetch_all(&courses[0, 0] + at, sizeof(course_t))
+                    for k in range(3):
+                        prefetch(&around[k, 0, 0] + at)
+                        prefetch(f.around + k * size + at)
             at = moving[i]
             if 0 <= at < size:
                 moves[i] = move_one(
                     &pixels[0, 0] + at, &store[0], &node[0, 0] + at, at, t, known, &f,
-                    &lags, c, &shown[0, 0] + at, plane,
+                    &lags, c, &shown[0, 0] + at,
+                    &courses[0, 0] + at if around is not None else NULL, plane,
                     &around[0, 0, 0] if around is not None else NULL)
 
 
 cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
                           Py_ssize_t at, int64_t t, int64_t known, const frames_t* f,
-                          const lags_t* lags, const camera_t* c, shown_t* s,
-                          float* plane, float* around) noexcept nogil:
+                          const lags_t* lags, const camera_t* c, shown_t* kept,
+                          course_t* course, float* plane, float* around) noexcept nogil:
     """Write a pixel's planes; return whether they have to be written again."""
     cdef Py_ssize_t size = f.h * f.w, x = at % f.w
     cdef int64_t t0 = t, t1 = t
     cdef double[3] out
     cdef double j0, v0, j1, v1, since, knot, seconds, rate
-    cdef bint rests = False, smooth = False
+    cdef bint rests = False, smooth = False, changed = p.flags & CHANGED
+    cdef shown_t new
+    cdef shown_t* s = kept
     cdef int k
-    if p.flags & CHANGED:
+    if changed or f.fresh:
         p.flags = LISTED
+        s = &new
         if node.open_t != 0 and p.at.run > 0 and p.at.t > node.open_t:
             # Its end is known now.
             node_of(p, store, f.exposure[x], f.exposure[f.w + x], f.samples, p.at.t,
@@ -272,13 +301,14 @@ cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
     s.until = 0
     knot = since = 1e-6 * <double>(t - s.last)
     if s.next > known:
-        if s.sign != 0 and since > SMOOTH_FROM:
+        # By the knot, not by t: whatever was read before, the same segment is shown.
+        rests = s.sign == 0 or stays(since / KNOT, s, f, c)
+        if not rests and since > SMOOTH_FROM:
             knot = SMOOTH_FROM
             while knot * KNOT <= since:
                 knot *= KNOT
-        # By the knot, not by t: whatever was read before, the same segment is shown.
-        rests = s.sign == 0 or (t - s.last > lags.oldest and goes_on(
-            max(knot + 1e-6 * <double>f.ahead, <double>s.before), c) <= 0.0)
+        rests = (rests or stays(knot, s, f, c)) and (
+            s.sign == 0 or t - s.last > lags.oldest)
         smooth = not rests and since > SMOOTH_FROM
     if smooth:
         t0 = s.last + <int64_t>(1e6 * knot)
@@ -296,12 +326,13 @@ cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
         s.until = NEVER
     if s.next != NEVER:
         s.until = min(s.until, s.next - f.ahead)    # then it is known
-    estimate(s, t0, t0 + f.ahead if smooth else known, smooth, x, f, c, &j0, &v0)
+    estimate(s, t0, t0 + f.ahead if smooth else known, smooth, rests, x, f, c, &j0, &v0)
     plane[LEVEL * size + at] = <float>j0
     plane[VARIANCE * size + at] = <float>v0
     plane[SLOPE * size + at] = plane[GROWS * size + at] = plane[BENDS * size + at] = 0.0
     if t1 > t0:
-        estimate(s, t1, t1 + f.ahead if smooth else known, smooth, x, f, c, &j1, &v1)
+        estimate(s, t1, t1 + f.ahead if smooth else known, smooth, rests, x, f, c, &j1,
+                 &v1)
         seconds = 1e-6 * <double>(t1 - t0)
         rate = (j1 - j0) / seconds
         since = 1e-6 * <double>(f.epoch - t0)
@@ -320,25 +351,38 @@ cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
         plane[VARIANCE * size + at] = <float>(v0 + since * (rate + since * j1))
     if around != NULL:
         if s.state & HOT:
+            course.until = 0
             for k in range(3):
                 around[k * size + at] = 0.0
         else:
-            around_of(p, store, t0 if smooth else t, t0 + f.ahead if smooth else known,
-                      lags, c, out)
+            if changed or t >= course.until:
+                weigh_counts(p, store, t, f.ahead, lags, c, course)
+            if not smooth:
+                t0 = t
+            say(course, t0, t0 + f.ahead, c, out)
             for k in range(3):
                 around[k * size + at] = <float>(out[k] - f.around[k * size + at])
     if rests and p.next < 0:
         p.flags &= ~LISTED
         return False
+    if s == &new:
+        kept[0] = new
     return True
 
 
-def increments_image(const float[:, :, ::1] planes not None, const float[:, ::1] around,
+cdef inline bint stays(double since, const shown_t* s, const frames_t* f,
+                       const camera_t* c) noexcept nogil:
+    """Whether light is still at a time since the last event."""
+    return goes_on(max(since + 1e-6 * <double>f.ahead, <double>s.before), c) <= 0.0
+
+
+def increments_image(const float[:, :, ::1] planes not None,
+                     const float[:, :, ::1] around,
                      times not None, const wave_t[::1] waves not None, double most,
                      out not None, bands not None):
     """Write ln light, its variance and validity, with the lamp's ripple.
 
-    times is (t, epoch of the planes).
+    times is (t, epoch of the planes), around what `increments_move` writes, or None.
     """
     cdef Py_ssize_t y, first, last
     cdef float[:, ::1] log, variance
@@ -354,13 +398,17 @@ def increments_image(const float[:, :, ::1] planes not None, const float[:, ::1]
             or planes.shape[2] != log.shape[1] or variance.shape[0] != log.shape[0]
             or variance.shape[1] != log.shape[1] or valid.shape[0] != log.shape[0]
             or valid.shape[1] != log.shape[1] or around is not None and (
-                around.shape[0] != log.shape[0] or around.shape[1] != log.shape[1])):
+                around.shape[0] != 3 or around.shape[1] != log.shape[0]
+                or around.shape[2] != log.shape[1])):
         raise ValueError("increments_image: all images must have one shape")
     with nogil:
         for y in range(first, last):
+            if around is not None:
+                mean_at(&around[0, 0, 0], y, log.shape[0], log.shape[1], &log[y, 0])
+            else:
+                memset(&log[y, 0], 0, log.shape[1] * sizeof(float))
             show_row(&planes[LEVEL, y, 0], &planes[SLOPE, y, 0],
                      &planes[VARIANCE, y, 0],
-                     &planes[GROWS, y, 0], &planes[BENDS, y, 0],
-                     &around[y, 0] if around is not None else NULL, <float>seconds,
+                     &planes[GROWS, y, 0], &planes[BENDS, y, 0], <float>seconds,
                      <float>lit, <float>most, log.shape[1], &log[y, 0], &variance[y, 0],
                      &valid[y, 0])

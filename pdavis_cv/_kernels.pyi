@@ -263,8 +263,9 @@ def increments_image(
 def increments_mean(planes: _F32, out: _F32, bands: tuple[int, int]) -> None: ...
 def increments_move(
     pixels: NDArray[Any], store: NDArray[Any], frames: tuple[Any, ...],
-    times: tuple[int, int, int], camera: _F64, moving: _I32, moves: _U8,
-    shown: NDArray[Any], planes: _F32, around: _F32 | None, bands: tuple[int, int],
+    times: tuple[int, int, int, bool], camera: _F64, moving: _I32, moves: _U8,
+    shown: NDArray[Any], courses: NDArray[Any] | None, planes: _F32,
+    around: _F32 | None, bands: tuple[int, int],
 ) -> None: ...
 def increments_node(
     pixels: NDArray[Any], store: NDArray[Any], exposure: _I64, samples: int,

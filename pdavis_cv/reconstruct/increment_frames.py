@@ -10,8 +10,8 @@ from pdavis_cv.pixel.model import SAMPLES, SHORT_US, PixelModel
 from pdavis_cv.reconstruct.frames import log_exposure, usable_samples
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["ANCHOR_DTYPE", "EVENT_DTYPE", "NODE_DTYPE", "PIXEL_DTYPE", "SHOWN_DTYPE",
-           "Waiting"]
+__all__ = ["ANCHOR_DTYPE", "COURSE_DTYPE", "EVENT_DTYPE", "NODE_DTYPE", "PIXEL_DTYPE",
+           "SHOWN_DTYPE", "Waiting"]
 
 EVENT_DTYPE = np.dtype([
     ("t", "<i8"), ("light", "<f8", 2), ("count", "<f8", 2), ("before", "<f4"),
@@ -35,6 +35,10 @@ SHOWN_DTYPE = np.dtype([
     ("before", "<f4"), ("next_weight", "<f4"), ("drift", "<f4"), ("extra", "<f4"),
     ("opened", "<f4"),
     ("sign", "i1"), ("next_sign", "i1"), ("context", "i1"), ("state", "i1")])
+COURSE_DTYPE = np.dtype([
+    ("until", "<i8"), ("origin", "<i8"), ("last", "<i8"), ("level", "<f8", 3),
+    ("rise", "<f4", 3), ("bend", "<f4", 3), ("open", "<f4", (3, 3)), ("before", "<f4"),
+    ("sign", "i1"), ("context", "i1")], align=True)
 """Records of _kernels/_increments.pxd, which says what their fields are."""
 
 

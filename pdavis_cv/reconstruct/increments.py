@@ -24,6 +24,7 @@ from pdavis_cv.reconstruct.base import (
 )
 from pdavis_cv.reconstruct.increment_frames import (
     ANCHOR_DTYPE,
+    COURSE_DTYPE,
     EVENT_DTYPE,
     NODE_DTYPE,
     PIXEL_DTYPE,
@@ -50,6 +51,7 @@ _REACH_US = 5_000 - round(1e6 * min(LAGS_S))
 _AHEAD_US = round(1e6 * max(LAGS_S))
 _LATE_US = 500_000
 _NO_EVENTS = 1 << 14
+_UNKNOWN = 1e3      # variance of a pixel without a sample, as in _increments.h
 
 
 class IncrementFilter(Reconstructor):
@@ -163,6 +165,7 @@ class IncrementFilter(Reconstructor):
         self._moving, self._listed = np.arange(size, dtype=np.int32), size
         self._moves = np.empty(size, np.uint8)
         self._shown = np.zeros(self.shape, SHOWN_DTYPE)
+        self._courses: Records | None = None
         self._planes = np.zeros((5, *self.shape), np.float32)
         self._around = np.zeros((3, *self.shape), np.float32)
         self._nothing = np.zeros((3, *self.shape))
@@ -179,6 +182,7 @@ class IncrementFilter(Reconstructor):
         """Invalidate what is made for reads."""
         self._back: NDArray[np.float32] | None = None
         self._fresh = False
+        self._pixels["flags"] = 3
         self._scratch: tuple[int, int, IncrementFilter] | None = None
 
     @property
@@ -480,30 +484,31 @@ class IncrementFilter(Reconstructor):
                       later[0].middle if later else here]),
             self._nothing if first is None else first.around, self._lamp.waves)
         looks = self._model.looks_around
+        around = self._around if looks else None
+        if looks and self._courses is None:
+            self._courses = np.empty(self.shape, COURSE_DTYPE)
         n, before = self._listed, not self._fresh
         self._bands(n, lambda first, last: _kernels.increments_move(
-            self._pixels, self._store, frames, (t, seen, self._epoch_us),
-            self._numbers, self._moving, self._moves, self._shown, self._planes,
-            self._around if looks else None, (first, last)))
+            self._pixels, self._store, frames, (t, seen, self._epoch_us, before),
+            self._numbers, self._moving, self._moves, self._shown, self._courses,
+            self._planes, around, (first, last)))
         kept = self._moving[:n][self._moves[:n] > 0]
         self._listed = len(kept)
         self._moving[:len(kept)] = kept
         if before:
-            self._unknown = np.flatnonzero((self._shown["state"] & 3) == 0)
+            self._unknown = np.flatnonzero(self._planes[2] == _UNKNOWN)
             self._fresh = True
-        around = self._mean(self._around) if looks else None
         self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_image(
             self._planes, around, (t, self._epoch_us), self._lamp.waves,
             VALID_VARIANCE, (log, variance, valid.view(np.uint8)),
             (first, last)),
-            row_ns=2.0 * self.shape[1])
+            row_ns=3.0 * self.shape[1])
 
     def _list_all(self, epoch_us: int) -> None:
         """Let all pixels be shown anew, with planes that count from a time."""
         self._epoch_us = epoch_us
         self._listed = self._moving.size
         self._moving[:] = self._all
-        self._pixels["flags"] = 3
 
     def _bands(self, n: int, work: Callable[[int, int], object]) -> None:
         """Let threads share the listed pixels."""
