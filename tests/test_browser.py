@@ -112,7 +112,23 @@ def test_colours_on_the_page_are_those_of_the_pictures(page, served):
         picture = pane(output, served.site.show, image)[..., ::-1].astype(int)
         # A part in 255 of a turn of hue is six of its colours, of the ramp at most 7.
         most = 7 if name in ("aop", "dolp") else 0
-        assert np.abs(shown[..., :3] - picture).max() <= most
+        seen = image.valid if most else np.ones_like(image.valid)
+        np.testing.assert_array_equal(shown[..., 3] > 0, seen)  # else hatched, behind
+        assert np.abs(shown[..., :3] - picture)[seen].max() <= most
+
+
+def test_the_rate_of_events_is_drawn_over_time(page, served, recording):
+    page.keyboard.press(" ")
+    until(page, "rates.length >= 5")
+    page.keyboard.press(" ")
+    for one in page.evaluate("rates"):
+        t_us = one["t_us"]
+        events = recording.events(t_us - round(1e6 / 60) + 1, t_us + 1)
+        assert one["rate"] == pytest.approx(len(events) / round(1e6 / 60))
+    ink = page.evaluate("""() => { const plot = document.getElementById('plot');
+        return plot.getContext('2d').getImageData(0, 0, plot.width, plot.height).data
+            .reduce((sum, value) => sum + value, 0); }""")
+    assert ink > 0
 
 
 def region(page, left, top, right, bottom):
@@ -232,7 +248,8 @@ def test_a_snapshot_shows_legend_and_time(page):
         CanvasRenderingContext2D.prototype.fillText = drawn;
         return texts;
     }""")
-    assert {"S0", "AoP", "DoLP", "0\u00b0", "180\u00b0", "at 0.010 s"} <= set(texts)
+    assert {"S0", "AoP", "DoLP", "0\u00b0", "180\u00b0", "at 0.010 s",
+            "not valid"} <= set(texts)
     assert any(text.endswith("DN/ms") for text in texts)
 
 
@@ -244,7 +261,7 @@ def test_keys_are_listed(page):
 
 
 @pytest.mark.parametrize(("width", "height", "least"), [
-    (390, 844, 0.9), (1400, 900, 0.9), (2560, 1300, 0.9)])
+    (390, 844, 0.9), (800, 1000, 0.9), (1400, 900, 0.9), (2560, 1300, 0.9)])
 def test_pictures_use_the_window_and_play_is_at_hand(
         browser, served, width, height, least):
     with browser.new_page(viewport={"width": width, "height": height}) as page:

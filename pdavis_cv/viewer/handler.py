@@ -319,11 +319,13 @@ class Handler(BaseHTTPRequestHandler):
                                 "status": show.status()}
         parts: list[bytes | memoryview] = []
         if image is not None:
+            assert image.t_us is not None       # of fuse(), each has a time
             told["t_us"] = image.t_us
             told["height"], told["width"] = image.s0.shape
             told["missing"] = missing(asked.panes, image)
             told["levels"] = levels = asked.levels or levels_of(show, image)
             told["saturated"] = saturated(show, image)
+            told["events_per_s"] = len(show.events(image.t_us)) / show.period_us * 1e6
             for name, plane in planes(asked.panes, show, image, levels).items():
                 told["planes"].append(name)
                 parts.append(plane.data)

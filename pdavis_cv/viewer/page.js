@@ -69,7 +69,7 @@ function take(buffer) {
     shownUs = told.t_us;
     status = told.status;
     drawAll(told, planes);
-    measure(told.values, told.status.method);
+    measure(told);
     document.body.dataset.drawn = drawn;
     document.body.dataset.t = told.t_us;
   }
@@ -168,7 +168,7 @@ function begin() {
     back: () => command("step", -1), on: () => command("step", 1), auto, whole, snapshot, csv,
     geojson, record: () => command("record", status.stats.recording === null),
     zoom: () => regions.length ? zoomTo(regions.at(-1).box) : say("drag a region first"),
-    restart: () => { for (const one of regions) one.trace = []; ask(true); },
+    restart: () => { rates.length = 0; for (const one of regions) one.trace = []; ask(true); },
     help: () => $("keys").showModal()};
   const keys = {" ": ["play", "play or pause"], ArrowLeft: ["back", "one image back"],
     ArrowRight: ["on", "one image on"], z: ["zoom", "zoom to the last region"],

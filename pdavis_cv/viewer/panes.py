@@ -170,7 +170,7 @@ def palettes() -> dict[str, Any]:
 
     def rgb(colours: NDArray[np.uint8]) -> list[list[int]]:
         found: list[list[int]] = colours[0, :, ::-1].tolist()
-        return [*found, stripes[0]]
+        return [*found, stripes[0]]      # transparent on the page
 
     return {
         "quantities": [
@@ -214,7 +214,7 @@ def pane(name: str, show: Show, image: PolarFrame) -> NDArray[np.uint8]:
         provenance = show.fusion.provenance
         step = 2 if provenance["demosaic"] in HALF_SIZE else 1
         return events_bgr(event_counts(
-            show.events(image.t_us), provenance["roi"], step))
+            [show.events(image.t_us)], provenance["roi"], step))
     if output.quantity.plane(image) is None:
         return np.full((*image.s0.shape, 3), _GREY, np.uint8)
     return colour(image, output, ToneCurve(show.white))

@@ -6,7 +6,7 @@ const SHARPEST = 64;        // most image pixels of the sensor's width per windo
 const shown = new Set(["s0", "aop", "dolp"]);
 const figures = {};
 const view = {zoom: 1, x: 0, y: 0};     // left and top in parts of the image
-let colours = null, lists = null, size = [4, 3], origin = [0, 0], step = 1,
+let colours = null, lists = null, hatch = null, size = [4, 3], origin = [0, 0], step = 1,
   levels = null, newest = null, drag = null;
 
 function made(kind, inside, words = {}) {
@@ -28,7 +28,17 @@ function makeColours({colours: given, stripes, full_dolp: full}) {
     for (let a = 0; a < 256; a++)
       faded[d << 8 | a] = word(lists.hue[a], a === 255 ? 1 : Math.min(d / 254 / full, 1));
   colours.hue = faded;
-  colours.stripes = stripes.map(colour => word(colour, 1));
+  // What is not valid is transparent, and the window behind is hatched, finely at any zoom.
+  for (const name of ["hue", "viridis", "grey"])
+    for (let i = 255; i < colours[name].length; i += 256) colours[name][i] = 0;
+  hatch = document.createElement("canvas");
+  hatch.width = hatch.height = 8;
+  const context = hatch.getContext("2d");
+  for (let i = 0; i < 64; i++) {
+    context.fillStyle = `rgb(${stripes[(i >> 3) + i % 8 >> 2 & 1]})`;
+    context.fillRect(i % 8, i >> 3, 1, 1);
+  }
+  document.body.style.setProperty("--hatch", `url(${hatch.toDataURL()})`);
 }
 
 function makeFigures(quantities) {
@@ -46,7 +56,7 @@ function makeFigures(quantities) {
     bar(made("canvas", scale, {width: 144, height: 12}).getContext("2d"), facts, 0, 0, 144, 12);
     const high = name === "s0" ? field(scale, 1) : made("span", scale, {textContent: facts.ends[1]});
     if (name === "s0") {
-      scale.append(facts.unit);
+      made("small", scale, {textContent: facts.unit});
       made("button", scale, {id: "auto", textContent: "auto", onclick: auto,
         title: "fit contrast to this image (a)"});
     }
@@ -88,7 +98,7 @@ function draw(name, {width, height}, planes) {
   if (canvas.width !== width || canvas.height !== height || !one.image) {
     canvas.width = width;
     canvas.height = height;
-    one.context = canvas.getContext("2d", {alpha: false});
+    one.context = canvas.getContext("2d");
     one.image = one.context.createImageData(width, height);
     one.words = new Uint32Array(one.image.data.buffer);
   }
@@ -98,13 +108,6 @@ function draw(name, {width, height}, planes) {
     for (let i = 0; i < words.length; i++) words[i] = table[dolp[i] << 8 | pixels[i]];
   } else {
     for (let i = 0; i < words.length; i++) words[i] = table[pixels[i]];
-  }
-  if (one.facts.colours !== "tone") {     // what is not valid is hatched, as in files
-    let shift = 1;
-    while (width >> shift > 256) shift++;
-    for (let y = 0, i = 0; y < height; y++)
-      for (let x = 0; x < width; x++, i++)
-        if (pixels[i] === 255) words[i] = colours.stripes[x + y >> shift & 1];
   }
   one.context.putImageData(one.image, 0, 0);
 }
@@ -144,10 +147,11 @@ function arrange() {
     best = 0;
     for (let c = 1; c <= n; c++) {
       const rows = Math.ceil(n / c);
-      best = Math.max(best, Math.min((room - gap * (c - 1)) / c,
-        ((high - gap * (rows - 1)) / rows - 31) * aspect));
+      const size = Math.min((room - gap * (c - 1)) / c,
+        ((high - gap * (rows - 1)) / rows - 31) * aspect);
+      if (size > 0.98 * best) best = size;    // of two as large, that with fewer rows
     }
-    best = Math.max(best, Math.min(room, 320));
+    best = Math.max(best, Math.min(room, 250));
   }
   grid.style.gridTemplateColumns = `repeat(auto-fit, ${Math.floor(best)}px)`;
   for (const [name, one] of Object.entries(figures)) {
@@ -368,6 +372,8 @@ function snapshotPicture(footer) {
   context.textBaseline = "middle";
   names.forEach((name, k) => {
     const {facts, canvas: picture, low, high} = figures[name], x0 = gap + k * (w + gap);
+    context.fillStyle = context.createPattern(hatch, "repeat");
+    context.fillRect(x0, head, w, h);
     context.drawImage(picture, view.x * size[0], view.y * size[1], size[0] / view.zoom,
       size[1] / view.zoom, x0, head, w, h);
     context.fillStyle = "#000";
@@ -402,5 +408,9 @@ function snapshotPicture(footer) {
   });
   context.fillStyle = "#000";
   context.fillText(footer, gap, canvas.height - 20);
+  const right = canvas.width - gap - context.measureText("not valid").width;
+  context.fillText("not valid", right, canvas.height - 20);
+  context.fillStyle = context.createPattern(hatch, "repeat");
+  context.fillRect(right - 22, canvas.height - 28, 16, 16);
   return canvas;
 }

@@ -3,7 +3,7 @@
 const MOST_POINTS = 20000;
 const TINTS = ["#e69f00", "#56b4e9", "#009e73", "#d55e00", "#cc79a7", "#0072b2", "#f0e442",
   "#b8b8b8"];
-const regions = [];
+const regions = [], rates = [];    // and how many events there were
 let pointed = null, pointedValues = null;
 
 // A region's pixels never change, so that its trace is of one thing.
@@ -30,16 +30,21 @@ function point(box) {
   seldom(() => ask(true), 100, "point");
 }
 
+// Time goes on in a trace: what was later is drawn anew.
+function append(trace, point) {
+  while (trace.length && point.t_us <= trace.at(-1).t_us) trace.pop();
+  trace.push(point);
+  if (trace.length > MOST_POINTS) trace.splice(0, MOST_POINTS / 10);
+}
+
 // What is asked for of each image; `measure` gets the values in the same order.
 function asksFor() { return [...regions.map(one => one.box), ...(pointed ? [pointed] : [])]; }
 
-function measure(found, method) {
+function measure({values: found, t_us, events_per_s, status: {method}}) {
+  append(rates, {t_us, rate: events_per_s / 1e6});
   regions.forEach((one, i) => {
     const v = one.values = found[i];
-    if (v.aop_deg === undefined) return;
-    while (one.trace.length && v.t_us <= one.trace.at(-1).t_us) one.trace.pop();
-    one.trace.push({...v, method});
-    if (one.trace.length > MOST_POINTS) one.trace.splice(0, MOST_POINTS / 10);
+    if (v.aop_deg !== undefined) append(one.trace, {...v, method});
   });
   pointedValues = pointed ? found[regions.length] : null;
   document.body.dataset.points = Math.max(0, ...regions.map(one => one.trace.length));
@@ -122,20 +127,29 @@ function axis(points) {
 
 function plot() {
   const {context, width, height} = sheet("plot");
-  const all = regions.flatMap(one => one.trace);
-  if (all.length < 2) return;
-  const first = Math.min(...regions.filter(one => one.trace.length).map(one => one.trace[0].t_us));
-  const last = Math.max(...regions.filter(one => one.trace.length).map(one => one.trace.at(-1).t_us));
-  const about = centre => deg => ((deg - centre + 270) % 180 + 180) % 180 - 90;
-  const turns = all.some(p => Math.abs(about(axis(all))(p.aop_deg)) > 75);
-  const middle = turns ? 90 : axis(all), from = about(middle);
-  const strips = [
-    ["AoP", p => from(p.aop_deg), v => `${((v + middle + 360) % 180).toFixed(1)}\u00b0`],
-    ["DoLP", p => p.dolp, v => v.toPrecision(3)], ["S0", p => p.s0, v => v.toPrecision(3)]];
+  const all = regions.flatMap(one => one.trace), strips = [];
+  if (all.length > 1) {
+    const about = centre => deg => ((deg - centre + 270) % 180 + 180) % 180 - 90;
+    const turns = all.some(p => Math.abs(about(axis(all))(p.aop_deg)) > 75);
+    const middle = turns ? 90 : axis(all), from = about(middle);
+    const curves = value => regions.map(one => [one.colour, one.trace, value]);
+    strips.push(
+      ["AoP", curves(p => from(p.aop_deg)), v => `${((v + middle + 360) % 180).toFixed(1)}\u00b0`],
+      ["DoLP", curves(p => p.dolp), v => v.toPrecision(3)],
+      ["S0", curves(p => p.s0), v => v.toPrecision(3)]);
+  }
+  if (rates.length > 1)
+    strips.push(["Mev/s", [[ink("--dim"), rates, p => p.rate]], v => Math.max(v, 0).toPrecision(3)]);
+  const drawn = strips.flatMap(([, curves]) => curves.map(([, points]) => points))
+    .filter(points => points.length);
+  if (!drawn.length) return;
+  const first = Math.min(...drawn.map(points => points[0].t_us));
+  const last = Math.max(...drawn.map(points => points.at(-1).t_us));
   const left = 74, tall = (height - 16) / strips.length;
-  strips.forEach(([name, value, text], k) => {
+  strips.forEach(([name, curves, text], k) => {
     let low = Infinity, high = -Infinity;
-    for (const p of all) { const v = value(p); low = Math.min(low, v); high = Math.max(high, v); }
+    for (const [, points, value] of curves)
+      for (const p of points) { const v = value(p); low = Math.min(low, v); high = Math.max(high, v); }
     const pad = (high - low) * 0.05 || 0.5 * Math.abs(high) || 1;
     const y = v => k * tall + 8 + (tall - 16) * (high + pad - v) / (high - low + 2 * pad);
     context.strokeStyle = ink("--line");
@@ -148,12 +162,12 @@ function plot() {
     context.textAlign = "right";
     context.fillText(text(high), left - 5, k * tall + 10);
     context.fillText(text(low), left - 5, (k + 1) * tall - 10);
-    for (const {trace, colour} of regions) {
+    for (const [colour, points, value] of curves) {
       context.strokeStyle = colour;
       context.lineWidth = 1.5;
       context.beginPath();
       let before = null;
-      for (const p of trace) {
+      for (const p of points) {
         const v = value(p), x = left + (p.t_us - first) / (last - first || 1) * (width - left - 2);
         if (before === null || (name === "AoP" && Math.abs(v - before) > 90)) context.moveTo(x, y(v));
         else context.lineTo(x, y(v));

@@ -58,8 +58,13 @@ class Show(ABC):
     def over(self) -> bool:
         """Whether no new image will come, so that `latest` does not wait."""
 
+    @property
     @abstractmethod
-    def events(self, until_us: int) -> Iterable[Events]:
+    def period_us(self) -> int:
+        """Interval of an image in the source's time."""
+
+    @abstractmethod
+    def events(self, until_us: int) -> Events:
         """Return the events of the interval of an image that ends at until_us."""
 
     @abstractmethod
@@ -173,10 +178,15 @@ class LiveShow(Show):
         """Whether no image will come."""
         return self._session.over
 
-    def events(self, until_us: int) -> Iterable[Events]:
+    @property
+    def period_us(self) -> int:
+        """Interval of an image, of which events are still kept."""
+        return min(round(1e6 / float(self.fusion.options.rate or DEFAULT_FPS)),
+                   KEPT_EVENTS_US)
+
+    def events(self, until_us: int) -> Events:
         """Return the events since the image before."""
-        period = round(1e6 / float(self.fusion.options.rate or DEFAULT_FPS))
-        return [self._session.events(until_us - min(period, KEPT_EVENTS_US), until_us)]
+        return self._session.events(until_us - self.period_us, until_us)
 
     def change(self, **options: Any) -> None:
         """Go on with other options."""
@@ -259,10 +269,14 @@ class FileShow(Show):
         """Whether no image will come."""
         return self._closed
 
-    def events(self, until_us: int) -> Iterable[Events]:
+    @property
+    def period_us(self) -> int:
+        """Interval of an image."""
+        return round(1e6 / self._cursor.fps) if self._cursor.fps else 10_000
+
+    def events(self, until_us: int) -> Events:
         """Return the events since the image before."""
-        period = round(1e6 / self._cursor.fps) if self._cursor.fps else 10_000
-        return [self._recording.events(until_us - period + 1, until_us + 1)]
+        return self._recording.events(until_us - self.period_us + 1, until_us + 1)
 
     def change(self, **options: Any) -> None:
         """Continue with other options, at the same time of the recording."""
