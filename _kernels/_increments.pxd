@@ -17,6 +17,7 @@ cdef extern from "_increments.h" nogil:
     const double UNKNOWN "PD_UNKNOWN"
     const double SMOOTH_FROM "PD_SMOOTH_FROM"
     const double KNOT "PD_KNOT"
+    const double RESTS
     ctypedef struct camera_t:
         double rest, dead, hz, hz_per_light, black, alpha, beta, gamma, spread2
         double[2] theta

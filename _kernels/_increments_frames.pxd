@@ -37,12 +37,12 @@ cdef inline void node_of(const pixel_t* p, const stored_t* store, int64_t begin,
     It is linear in the pixel's gains about those given.
     """
     cdef look_t at
-    cdef double[2] part, rate
+    cdef double[2] part, rate, rise, bend
     cdef double[MOST_SAMPLES] y, off, on, slope, u, lit
-    cdef double top = -1e300, total, level, share, hz = 0.0
+    cdef double top = -1e300, total, level, share, seen = 0.0, hz = 0.0
     cdef int64_t t, middle = begin + (end - begin) // 2
-    cdef bint flickers = lamp_flickers(lamp, <double>begin, <double>end)
-    cdef int i, turn
+    cdef bint flickers = lamp_flickers(lamp, <double>begin, <double>end), in_one_gap
+    cdef int i, j, turn
     node.open_t = 0
     node.open_variance = 0.0
     look(p, store, end, max(known, end), c, &at)
@@ -57,17 +57,22 @@ cdef inline void node_of(const pixel_t* p, const stored_t* store, int64_t begin,
         return
     if lamp.blocks > 0:
         hz = c.hz + (corner_of(node.log, c) if node.variance > 0.0 else 0.0)
+    in_one_gap = at.last <= begin and known >= end
     for i in range(samples):
         t = begin + <int64_t>((end - begin) * (i + 0.5) / samples)
-        look(p, store, t, max(known, t), c, &at)
-        y[i] = lit[i] = 0.0
-        part[0] = part[1] = rate[0] = rate[1] = slope[i] = 0.0
-        if lamp.blocks > 0:
-            lit[i] = ripple(lamp, 0.0, <double>t, &slope[i])
-            y[i] = -seen_ripple(lamp, hz, &at)
-            y[i] += drift_of(&at.around, c, &slope[i])
-        if at.around.sign:
-            part_of(&at.around, c, part, rate)
+        if i == 0 or t >= at.next or known < end:
+            if i > 0 or not in_one_gap:
+                look(p, store, t, max(known, t), c, &at)
+            seen = seen_ripple(lamp, hz, &at) if lamp.blocks > 0 else 0.0
+            rise[0] = rise[1] = bend[0] = bend[1] = 0.0
+            if at.around.sign:
+                course_of(&at.around, c, rise, bend)
+        at.around.since = 1e-6 * <double>(t - at.last)
+        lit[i] = ripple(lamp, 0.0, <double>t, &slope[i]) if lamp.blocks > 0 else 0.0
+        y[i] = drift_of(&at.around, c, &slope[i]) - seen
+        for j in range(2):
+            part[j] = at.around.since * (rise[j] + at.around.since * bend[j])
+            rate[j] = rise[j] + 2.0 * at.around.since * bend[j]
         off[i] = at.light[0] + c.theta[0] * part[0]
         on[i] = at.light[1] + c.theta[1] * part[1]
         y[i] += (1.0 + gain[0]) * off[i] + (1.0 + gain[1]) * on[i]

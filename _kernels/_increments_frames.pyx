@@ -1,6 +1,7 @@
 """Frames of the filter of log intensity (_increments.pyx)."""
 from libc.math cimport NAN, fabs
 from libc.stdint cimport int64_t
+from libc.stdlib cimport free, malloc
 
 from _kernels._increments cimport (
     CLAIM, GATE, HOT_MEMORY, LEARN_EVENTS, LESS, MORE, MOST_SAMPLES, PRIOR_ODDS,
@@ -158,60 +159,71 @@ cdef inline float pass_one(const node_t* old, const node_t* new, double seconds,
     return a.log
 
 
-def increments_back(const node_t[:, ::1] before not None,
-                    const node_t[:, ::1] old not None,
-                    const node_t[:, ::1] new not None,
-                    const double[::1] seconds not None,
+def increments_back(list nodes not None, const double[:, ::1] seconds not None,
                     const double[::1] camera not None,
                     const anchor_t[:, ::1] anchors not None,
-                    float[:, :, ::1] back not None,
-                    bint begin, bands not None):
-    """Carry the estimate from later frames from node new back to node old, and join it
-    with the sample of old; before is the node of the frame before that.
+                    float[:, :, ::1] back not None, bands not None):
+    """Carry the estimate from the last of later frames back to the first of them.
 
-    back is (log, variance) of ln(I + black) at node new, then at old; a variance < 0
-    is of no estimate.  begin: there is none yet, and new is not looked at.
+    nodes are theirs, seconds (frame, column) the time from each to the next.  back is
+    (log, variance) of ln(I + black) at the first; a variance < 0 is of no estimate.
     """
-    cdef Py_ssize_t y, x, first, last
+    cdef Py_ssize_t i, y, x, first, last, n = len(nodes)
+    cdef Py_ssize_t h = anchors.shape[0], w = anchors.shape[1]
     cdef const camera_t* c = camera_of(camera)
-    cdef between_t step
-    cdef double b, v, e, r
-    cdef const node_t* n
+    cdef const node_t[:, ::1] one
+    cdef const node_t** frames
     first, last = bands
-    if (old.shape[0] != new.shape[0] or old.shape[1] != new.shape[1]
-            or anchors.shape[0] != new.shape[0] or anchors.shape[1] != new.shape[1]
-            or back.shape[0] != 2 or back.shape[1] != new.shape[0]
-            or before.shape[0] != new.shape[0] or before.shape[1] != new.shape[1]
-            or back.shape[2] != new.shape[1] or seconds.shape[0] != new.shape[1]):
+    if (back.shape[0] != 2 or back.shape[1] != h or back.shape[2] != w
+            or seconds.shape[0] != n or seconds.shape[1] != w):
         raise ValueError("increments_back: all images must have one shape")
-    with nogil:
-        for y in range(first, last):
-            for x in range(new.shape[1]):
-                n = &old[y, x]
-                b, v = 0.0, -1.0
-                if not begin and back[1, y, x] > 0.0:
-                    step = between(n, &new[y, x], seconds[x], c)
-                    b = back[0, y, x]
-                    v = back[1, y, x]
-                    if anchors[y, x].hot > PRIOR_ODDS:
-                        v += anchors[y, x].motion
-                    else:
-                        b -= (step.change + step.part[0] * anchors[y, x].gain[0]
-                              + step.part[1] * anchors[y, x].gain[1])
-                        v += step.noise
-                if n.variance > 0.0:
-                    e = n.log - b
-                    r = n.variance
-                    if anchors[y, x].hot <= PRIOR_ODDS:
-                        step = between(&before[y, x], n, seconds[x], c)
-                        r += 0.25 * c.beta * min(step.passed, 1.0)
-                    if v <= 0.0 or e * e > GATE * (v + r):
-                        b, v = n.log, r
-                    else:
-                        b += v / (v + r) * e
-                        v = v * r / (v + r)
-                back[0, y, x] = <float>b
-                back[1, y, x] = <float>v
+    frames = <const node_t**>malloc(max(n, 1) * sizeof(node_t*))
+    if frames == NULL:
+        raise MemoryError
+    try:
+        for i in range(n):
+            one = nodes[i]
+            if one.shape[0] != h or one.shape[1] != w:
+                raise ValueError("increments_back: all images must have one shape")
+            frames[i] = &one[0, 0]
+        with nogil:
+            for y in range(first, last):
+                for x in range(w):
+                    back_one(frames, n, y * w + x, &seconds[0, x], w, c, &anchors[y, x],
+                             &back[0, y, x], &back[1, y, x])
+    finally:
+        free(frames)
+
+
+cdef inline void back_one(const node_t** frames, Py_ssize_t n, Py_ssize_t at,
+                          const double* seconds, Py_ssize_t w, const camera_t* c,
+                          const anchor_t* a, float* log, float* variance) noexcept nogil:
+    cdef between_t step
+    cdef bint hot = a.hot > PRIOR_ODDS
+    cdef double b = 0.0, v = -1.0, e, r
+    cdef const node_t* node
+    cdef Py_ssize_t i
+    for i in range(n - 1, -1, -1):
+        node = frames[i] + at
+        if v > 0.0 and hot:
+            v += a.motion
+        elif v > 0.0:
+            # from this node to the one after
+            b -= step.change + step.part[0] * a.gain[0] + step.part[1] * a.gain[1]
+            v += step.noise
+        if i > 0:
+            step = between(frames[i - 1] + at, node, seconds[(i - 1) * w], c)
+        if node.variance > 0.0:
+            e = node.log - b
+            r = node.variance
+            if not hot and i > 0:
+                r += 0.25 * c.beta * min(step.passed, 1.0)
+            if v <= 0.0 or e * e > GATE * (v + r):
+                b, v = node.log, r
+            else:
+                b += v / (v + r) * e
+                v = v * r / (v + r)
+    log[0], variance[0] = <float>b, <float>v
 
 
 def increments_around(const pixel_t[:, ::1] pixels not None,
@@ -311,13 +323,16 @@ def increments_differ(const double[:, :, ::1] new not None,
                                     <float>(new[k, y, x] - old[k, y, x]))
 
 
-def increments_mean(const float[:, :, ::1] planes not None, float[:, ::1] out not None,
-                    bands not None):
-    """Add the pixel's plane and the means of `mean_at`."""
-    cdef Py_ssize_t h = out.shape[0], w = out.shape[1], y, first, last
+def increments_mean(const float[:, :, ::1] planes not None, float[:, ::1] row not None,
+                    node_t[:, ::1] nodes not None, bands not None):
+    """Let nodes have the pixel's plane plus the means of `mean_at`; row is scratch."""
+    cdef Py_ssize_t h = nodes.shape[0], w = nodes.shape[1], y, x, first, last
     first, last = bands
-    if planes.shape[0] != 3 or planes.shape[1] != h or planes.shape[2] != w:
+    if (planes.shape[0] != 3 or planes.shape[1] != h or planes.shape[2] != w
+            or row.shape[0] != h or row.shape[1] != w):
         raise ValueError("increments_mean: all images must have one shape")
     with nogil:
         for y in range(first, last):
-            mean_at(&planes[0, 0, 0], y, h, w, &out[y, 0])
+            mean_at(&planes[0, 0, 0], y, h, w, &row[y, 0])
+            for x in range(w):
+                nodes[y, x].around = row[y, x]

@@ -5,7 +5,7 @@ from libc.string cimport memset
 
 from _kernels._increments cimport (
     AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEVEL, LISTED,
-    MOST_SAMPLES, NEVER, PER_TURN, PRIOR_ODDS, SLOPE, SMOOTH_FROM, UNKNOWN,
+    MOST_SAMPLES, NEVER, PER_TURN, PRIOR_ODDS, RESTS, SLOPE, SMOOTH_FROM, UNKNOWN,
     VARIANCE, anchor_t, around_t, camera_of, camera_t, course_t, drift_of, goes_on,
     lead_of, mean_at, node_t, open_variance, part_of, pixel_t, show_row, shown_t,
     stored_t, weight)
@@ -24,7 +24,7 @@ cdef enum:
 
 cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t* node,
                           const anchor_t* a, const node_t* later, double b, double v,
-                          const camera_t* c, const lamp_t* lamp,
+                          const double* cov, const camera_t* c, const lamp_t* lamp,
                           shown_t* s) noexcept nogil:
     cdef const stored_t* e = &p.at
     cdef double[2] since, until
@@ -56,9 +56,9 @@ cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t*
     s.extra = s.common = s.ahead = s.behind = s.p_ahead = s.p_behind = 0.0
     s.opened = node.open_variance if node.open_t == s.last else 0.0
     # Relative error of the thresholds, of this pixel and of all.
-    s00 = a.p[3] + c.theta_cov[0] / (c.theta[0] * c.theta[0])
-    s01 = a.p[4] + c.theta_cov[1] / (c.theta[0] * c.theta[1])
-    s11 = a.p[5] + c.theta_cov[2] / (c.theta[1] * c.theta[1])
+    s00 = a.p[3] + cov[0]
+    s01 = a.p[4] + cov[1]
+    s11 = a.p[5] + cov[2]
     since[0], since[1] = e.light[0] - node.light[0], e.light[1] - node.light[1]
     until[0], until[1] = later.light[0] - e.light[0], later.light[1] - e.light[1]
     if not hot and a.sampled > 0.0:
@@ -115,6 +115,7 @@ cdef struct frames_t:
     int samples
     Py_ssize_t h, w
     int64_t epoch, ahead
+    double[3] theta_cov         # of the thresholds' relative errors
     bint fresh                  # the frames, or their estimates, are others
 
 
@@ -243,6 +244,9 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
     f.around = &then[0, 0, 0] if around is not None else NULL
     f.anchors, f.exposure, f.middle = &anchors[0, 0], &exposure[0, 0], &middles[0, 0]
     f.ahead = known - t
+    f.theta_cov[0] = c.theta_cov[0] / (c.theta[0] * c.theta[0])
+    f.theta_cov[1] = c.theta_cov[1] / (c.theta[0] * c.theta[1])
+    f.theta_cov[2] = c.theta_cov[2] / (c.theta[1] * c.theta[1])
     with nogil:
         lags = lags_of(c, f.ahead)
         for i in range(first, last):
@@ -293,9 +297,10 @@ cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
                 f.around[k * size + at] = out[k]
         if f.back != NULL:
             show_one(p, store, node, f.anchors + at, f.later + at, f.back[at],
-                     f.back[size + at], c, f.lamp, s)
+                     f.back[size + at], f.theta_cov, c, f.lamp, s)
         else:
-            show_one(p, store, node, f.anchors + at, node, 0.0, -1.0, c, f.lamp, s)
+            show_one(p, store, node, f.anchors + at, node, 0.0, -1.0, f.theta_cov,
+                     c, f.lamp, s)
     elif t < s.until:
         return True
     s.until = 0
@@ -373,7 +378,7 @@ cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
 cdef inline bint stays(double since, const shown_t* s, const frames_t* f,
                        const camera_t* c) noexcept nogil:
     """Whether light is still at a time since the last event."""
-    return goes_on(max(since + 1e-6 * <double>f.ahead, <double>s.before), c) <= 0.0
+    return max(since + 1e-6 * <double>f.ahead, <double>s.before) >= RESTS * c.rest
 
 
 def increments_image(const float[:, :, ::1] planes not None,

@@ -237,9 +237,8 @@ def increments_around(
     bands: tuple[int, int],
 ) -> None: ...
 def increments_back(
-    before: NDArray[Any], old: NDArray[Any], new: NDArray[Any], seconds: _F64,
-    camera: _F64, anchors: NDArray[Any], back: _F32, begin: bool,
-    bands: tuple[int, int],
+    nodes: list[NDArray[Any]], seconds: _F64, camera: _F64, anchors: NDArray[Any],
+    back: _F32, bands: tuple[int, int],
 ) -> None: ...
 def increments_close(
     pixels: NDArray[Any], store: NDArray[Any], exposure: _I64, middle: _I64,
@@ -260,7 +259,9 @@ def increments_image(
     planes: _F32, around: _F32 | None, times: tuple[int, int], waves: NDArray[Any],
     most: float, out: tuple[_F32, _F32, _U8], bands: tuple[int, int],
 ) -> None: ...
-def increments_mean(planes: _F32, out: _F32, bands: tuple[int, int]) -> None: ...
+def increments_mean(
+    planes: _F32, row: _F32, nodes: NDArray[Any], bands: tuple[int, int],
+) -> None: ...
 def increments_move(
     pixels: NDArray[Any], store: NDArray[Any], frames: tuple[Any, ...],
     times: tuple[int, int, int, bool], camera: _F64, moving: _I32, moves: _U8,

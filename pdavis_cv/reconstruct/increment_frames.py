@@ -68,6 +68,7 @@ class Waiting:
         self.arrived_us = frame.available_us
         self.nodes = np.zeros(frame.shape, NODE_DTYPE)
         self.around: NDArray[np.float64] | None = None  # see `increments_around`
+        self.after_us: int | None = None    # frame since which `around` of nodes counts
         self.known_us: int | None = None    # up to which events have been looked at
         self.set_model(model)
 

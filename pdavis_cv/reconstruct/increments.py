@@ -4,7 +4,6 @@ from __future__ import annotations
 import copy
 import itertools
 from collections.abc import Callable, Sequence
-from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -51,7 +50,7 @@ _REACH_US = 5_000 - round(1e6 * min(LAGS_S))
 _AHEAD_US = round(1e6 * max(LAGS_S))
 _LATE_US = 500_000
 _NO_EVENTS = 1 << 14
-_UNKNOWN = 1e3      # variance of a pixel without a sample, as in _increments.h
+_UNKNOWN, _HOT = 1e3, 6.91      # as PD_UNKNOWN and PD_PRIOR_ODDS of _increments.h
 
 
 class IncrementFilter(Reconstructor):
@@ -168,6 +167,8 @@ class IncrementFilter(Reconstructor):
         self._courses: Records | None = None
         self._planes = np.zeros((5, *self.shape), np.float32)
         self._around = np.zeros((3, *self.shape), np.float32)
+        self._row = np.empty(self.shape, np.float32)
+        self._hot: NDArray[np.bool_] | None = None
         self._nothing = np.zeros((3, *self.shape))
         self._all = self._moving.copy()
         self._unknown = np.empty(0, np.intp)
@@ -182,6 +183,7 @@ class IncrementFilter(Reconstructor):
         """Invalidate what is made for reads."""
         self._back: NDArray[np.float32] | None = None
         self._fresh = False
+        self._hot = None
         self._pixels["flags"] = 3
         self._scratch: tuple[int, int, IncrementFilter] | None = None
 
@@ -405,7 +407,8 @@ class IncrementFilter(Reconstructor):
         planes, before, after = self._around, old.around, new.around
         self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_differ(
             after, before, self._anchors, planes, (first, last)))
-        new.nodes["around"] = self._mean(planes)
+        self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_mean(
+            planes, self._row, new.nodes, (first, last)), row_ns=1.0 * self.shape[1])
 
     # ---- reading -----------------------------------------------------------------
 
@@ -514,35 +517,25 @@ class IncrementFilter(Reconstructor):
         """Let threads share the listed pixels."""
         self.workers.rows(n, work, row_ns=100.0)
 
-    def _mean(self, planes: NDArray[np.float32]) -> NDArray[np.float32]:
-        out = np.empty(self.shape, np.float32)
-        self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_mean(
-            planes, out, (first, last)), row_ns=1.0 * self.shape[1])
-        return out
-
     def _join(self, later: list[Waiting]) -> None:
         """Carry the estimate from later frames back to the first of them."""
-        back = np.full((2, *self.shape), -1, np.float32)
-        all_ = [*self._frames[:self._passed], *later]
-        for old, new in itertools.pairwise(all_):
-            self._differ(old, new)
-        for i in range(len(later) - 1, -1, -1):
-            # The anchor's node changes as silences end; `show_one` looks at it.
-            before, old = later[max(i - 1, 0)], later[i]
-            new = later[min(i + 1, len(later) - 1)]
-            seconds = 1e-6 * (new.middle - old.middle).astype(np.float64)
-            begin = i == len(later) - 1
-            nodes = before.nodes, old.nodes, new.nodes
-            self.workers.rows(self.shape[0], partial(
-                self._carry, nodes, seconds, back, begin))
+        hot = self._anchors["hot"] > _HOT
+        same = self._hot is not None and np.array_equal(hot, self._hot)
+        self._hot = hot
+        anchor = self._frames[:self._passed]
+        for old, new in itertools.pairwise([*anchor, *later]):
+            # The anchor changes as silences end, and frames after it do not.
+            if not same or old in anchor or new.after_us != old.mid_us:
+                self._differ(old, new)
+                new.after_us = old.mid_us
+        back = np.empty((2, *self.shape), np.float32)
+        nodes = [frame.nodes for frame in later]
+        seconds = np.zeros((len(later), self.shape[1]))
+        for i, (old, new) in enumerate(itertools.pairwise(later)):
+            seconds[i] = 1e-6 * (new.middle - old.middle)
+        self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_back(
+            nodes, seconds, self._numbers, self._anchors, back, (first, last)))
         self._back, self._backs, self._fresh = back, len(later), False
-
-    def _carry(
-        self, nodes: tuple[Records, Records, Records], seconds: NDArray[np.float64],
-        back: NDArray[np.float32], begin: bool, first: int, last: int,
-    ) -> None:
-        _kernels.increments_back(
-            *nodes, seconds, self._numbers, self._anchors, back, begin, (first, last))
 
     # ---- states ------------------------------------------------------------------
 
