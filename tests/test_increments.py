@@ -188,6 +188,20 @@ def test_another_model_from_now_on():
         one.retune(beta=1)
 
 
+def test_gains_that_wrong_thresholds_told_are_forgotten():
+    events, frames = stream(8)
+    one = fed(make(model=PLAIN), events, frames, 600_000)
+    told, p = one._anchors["gain"].copy(), one._anchors["p"].copy()
+    variance = PLAIN.spread**2
+    one.retune(model=PLAIN)
+    np.testing.assert_array_equal(one._anchors["gain"], told)
+    np.testing.assert_allclose(one._anchors["p"], p, rtol=1e-6)
+    one.retune(model=PLAIN.replace(theta=np.exp(PLAIN.spread) * PLAIN.theta))
+    np.testing.assert_allclose(one._anchors["gain"], told / 2, atol=1e-6)
+    np.testing.assert_allclose(
+        one._anchors["p"][..., [3, 5]], p[..., [3, 5]] / 4 + 0.75 * variance, rtol=1e-5)
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_events_that_are_dropped_are_not_missed(mode):
     """Long silences, frames absent for seconds, and a store that is packed often."""

@@ -169,6 +169,18 @@ def test_a_black_level_is_missing_in_frames_not_in_light():
     assert model.replace(black=0.0).in_frames(log, variance) == (log, variance)
 
 
+def test_a_black_level_found_before_stays_without_evidence_against_it():
+    sample = sampled(Camera.preset(
+        "typical", seed=1303, size=SIZE, aps={"black_level_dn": 30.0}), 60, 0.5, 0.4)
+    alone = learn(sample, TOLD, 0).model
+    found = learn(sample, TOLD, 0, alone.replace(black=1.5)).model
+    assert alone.black == 0
+    assert found.black > 0.3
+    # None is there: it goes again.
+    sample = sampled(of(1304), 200, 1.0)
+    assert learn(sample, TOLD, 0, alone.replace(black=1.5)).model.black < 0.1
+
+
 def test_a_known_clock_offset_is_used_and_not_learned():
     sample = sampled(of(1005), 200, 0.5)
     found = [learn(sample, Priors(theta=(0.2, 0.2), clock_us=(us, 0.0)), 50_000)

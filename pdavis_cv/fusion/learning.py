@@ -210,13 +210,16 @@ class Learning:
             every_pixel="thresholds" in self.wanted,
             learns=self._learns if "model" in self.wanted else None)
 
-    def estimate(self, camera: SelfCalibration) -> CameraEstimate:
-        """Return the estimate of an estimator that has been fed."""
+    def estimate(
+        self, camera: SelfCalibration, before: Tuning | None = None,
+    ) -> CameraEstimate:
+        """Return the estimate of an estimator that was fed, after an earlier one."""
         wanted = set(self.wanted)
         if "model" in wanted:
             return camera.estimate(
                 wanted=wanted, clock_offset_us=self.prior.clock_us,
-                lookahead_us=self._lookahead_us)
+                lookahead_us=self._lookahead_us,
+                before=None if before is None else before.parameters.get("model"))
         if self.uses_frames and "bandwidth" not in self.prior.parameters:
             wanted.add("bandwidth")      # the thresholds need it, if not the method
         return camera.estimate(

@@ -132,13 +132,13 @@ class OnlineLearning:
 
     def _started(self) -> Future[CameraEstimate]:
         """Start an estimate from the data so far, in a thread."""
-        passed = self.camera.state()
+        passed, before = self.camera.state(), self.tuning
 
         def estimated() -> CameraEstimate:
             """Estimate from a copy, as the original is fed meanwhile."""
             camera = self._learning.estimator()
             camera.restore(passed)
-            return self._learning.estimate(camera)
+            return self._learning.estimate(camera, before)
 
         one = ThreadPoolExecutor(1, "pdavis-learning")
         future = one.submit(estimated)

@@ -188,7 +188,10 @@ def prior_model(priors: Priors, lookahead_us: int) -> PixelModel:
         black=0.0 if priors.black is None else priors.black[0])
 
 
-def learn(sample: PixelSample, priors: Priors, lookahead_us: int) -> LearnedPixels:
+def learn(
+    sample: PixelSample, priors: Priors, lookahead_us: int,
+    before: PixelModel | None = None,
+) -> LearnedPixels:
     """Learn a camera from a window of its stream.
 
     Parameters
@@ -197,6 +200,8 @@ def learn(sample: PixelSample, priors: Priors, lookahead_us: int) -> LearnedPixe
     priors : Priors
     lookahead_us : int
         How much is known beyond the time of an image.
+    before : PixelModel, optional
+        What less of the stream told: a black level that it has needs evidence to go.
 
     Returns
     -------
@@ -213,7 +218,7 @@ def learn(sample: PixelSample, priors: Priors, lookahead_us: int) -> LearnedPixe
     if pairs is None or len(data.events) < 100:
         return LearnedPixels(model=model, clock_offset_us=told, gains=gains, told=True)
     fit = _with(fit, dead_s=_dead_time(data))
-    fit = _fitted(data, pairs, priors, fit)
+    fit = _fitted(data, pairs, priors, fit, 0.0 if before is None else before.black)
     model, past = fit.model, _past(data, fit.model)
     model = learned_silences(data, past, model, lookahead_us)
     if max(fit.sigmas["off"], fit.sigmas["on"]) > LEAST_KNOWN * priors.theta_sigma:
@@ -262,7 +267,9 @@ def _dead_time(data: Sampled) -> float:
     return 0.0
 
 
-def _fitted(data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit) -> _Fit:
+def _fitted(
+    data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit, black: float,
+) -> _Fit:
     """Return the likeliest state of the fit, of several starts and models.
 
     Each number moves from what was told only if the posterior is clearly better.
@@ -305,12 +312,13 @@ def _fitted(data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit) -> _Fit:
     if "black" in numbers:
         held = {"black": numbers["black"]}
         ms = float(np.median(pairs.ms))
-        other = tried(_with(best, black=BLACK[0] / ms), [*used, "black"])
+        other = tried(_with(best, black=black or BLACK[0] / ms), [*used, "black"])
         (without, steady), (within, _) = (
             _losses(data, pairs, one) for one in (best, other))
         gain = np.bincount(pairs.pair, np.where(steady, without - within, 0))
-        clearly = gain.sum() > EVIDENCE * math.sqrt(len(gain)) * gain.std()
-        if clearly and other.cost < best.cost - EVIDENCE_OF_BLACK:
+        enough = -1 if black else 1         # evidence against what was found before
+        clearly = gain.sum() > enough * EVIDENCE * math.sqrt(len(gain)) * gain.std()
+        if clearly and other.cost < best.cost - enough * EVIDENCE_OF_BLACK:
             best = other
     for rest in RESTS_S[1:]:
         other = tried(_with(best, rest_s=rest), (), 2)

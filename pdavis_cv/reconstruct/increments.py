@@ -211,11 +211,8 @@ class IncrementFilter(Reconstructor):
             self._theta = (checked_threshold("theta_off", off, self.shape),
                            checked_threshold("theta_on", on, self.shape))
             self._begin_gains()
-        spread, self._given = self._model.spread, learned.get("model", self._given)
-        # What is known of the gains holds as it did, in units of their spread.
-        ratio = self._model.spread / spread
-        self._anchors["p"] *= np.array(
-            [1, ratio, ratio, ratio**2, ratio**2, ratio**2], np.float32)
+        old, self._given = self._model, learned.get("model", self._given)
+        self._forget_gains(old)
         self._saturated.retune(
             (*self._model.bandwidth, 0.1), self._ratio_sigma,
             self._thresholds)
@@ -229,16 +226,33 @@ class IncrementFilter(Reconstructor):
         self._frames = tuple(frame.copy() for frame in frames)
         for frame in self._frames:
             known = frame.known_us
-            old = frame.nodes["log"].copy() if frame is self._frames[0] else None
+            log = frame.nodes["log"].copy() if frame is self._frames[0] else None
             frame.set_model(self._model)
-            if old is not None and self._passed:
+            if log is not None and self._passed:
                 # ln(I + black) with another black level
                 self._anchors["log"] += np.where(
-                    frame.nodes["variance"] > 0, frame.nodes["log"] - old, 0)
+                    frame.nodes["variance"] > 0, frame.nodes["log"] - log, 0)
             if known is not None:
                 frame.known_us = None
                 self._look(frame, known)
         self._changed()
+
+    def _forget_gains(self, old: PixelModel) -> None:
+        """Keep of the gains what another model could tell.
+
+        They hold in units of their spread, but may be wrong by as much as thresholds
+        were.
+        """
+        variance = self._model.spread ** 2
+        wrong = float(np.abs(np.log(self._model.theta / old.theta)).max())
+        kept = variance / (variance + wrong**2)
+        ratio = kept * self._model.spread / old.spread
+        self._anchors["p"] *= np.array(
+            [1, ratio, ratio, ratio**2, ratio**2, ratio**2], np.float32)
+        self._anchors["p"][..., [3, 5]] += (1 - kept**2) * variance
+        told = np.stack([np.broadcast_to(theta / np.mean(theta) - 1, self.shape)
+                         for theta in self._theta], -1)
+        self._anchors["gain"] += (1 - kept) * (told - self._anchors["gain"])
 
     def _first(self) -> int:
         return 0 if self._first_us is None else self._first_us

@@ -13,6 +13,7 @@ from pdavis_cv._types import Events, State
 from pdavis_cv.events import timed_events
 from pdavis_cv.pixel import sample as pixel_sample
 from pdavis_cv.pixel.learn import LearnedPixels, Priors, learn
+from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.reconstruct.stream_clock import checked_bandwidth
@@ -251,7 +252,7 @@ class SelfCalibration:
     def estimate(
         self, *, wanted: Collection[str] = QUANTITIES,
         bandwidth: Sequence[float] | None = None, clock_offset_us: int = 0,
-        lookahead_us: int = 0,
+        lookahead_us: int = 0, before: PixelModel | None = None,
     ) -> CameraEstimate:
         """Return the estimate from the data kept, which do not change.
 
@@ -265,6 +266,8 @@ class SelfCalibration:
             Shift of the frames' time stamps if "clock_offset" is not wanted, us.
         lookahead_us : int
             That of the method, for "model".
+        before : PixelModel, optional
+            The model of an earlier estimate (see `learn`).
 
         Returns
         -------
@@ -282,7 +285,7 @@ class SelfCalibration:
         jitter = (fit_jitter(self._window)
                   if "jitter_us" in wanted and not self._window.flickers else None)
         if self._pixels is not None and self._learns is not None and "model" in wanted:
-            learned = learn(self._pixels, self._learns, lookahead_us)
+            learned = learn(self._pixels, self._learns, lookahead_us, before)
             if learned.told and not self._window.flickers:
                 by_events = fit_event_scale(self._cells, self._nominal)
                 if by_events is not None and by_events.significant:
