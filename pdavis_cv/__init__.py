@@ -17,4 +17,7 @@ def __getattr__(name: str) -> Any:
     if name.startswith("_") or name in __all__:
         return _lazy(name)
     from pdavis_cv.registry import instead
-    raise AttributeError(f"pdavis_cv has no {name!r}{instead(name, __all__)}")
+    rooms = [room for room in ("analysis", "export", "live", "render", "simulation")
+             if name in _lazy(room).__all__]
+    where = f"; it is pdavis_cv.{rooms[0]}.{name}" if rooms else instead(name, __all__)
+    raise AttributeError(f"pdavis_cv has no {name!r}{where}")

@@ -15,7 +15,7 @@ __all__ = ["ADVICE", "Advises"]
 
 _ITERATOR: Mapping[str, str] = {
     "[] read get_frame": "it is an iterator: loop over it, or call next()",
-    "len": "how many images will follow is known when they have been made",
+    "len": "without a rate, or an end in the file's header, count the images",
     "images frames": "the images are what a loop over it gives",
     "width height size": "its images' shape is (height, width), shape",
 }

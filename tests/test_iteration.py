@@ -267,3 +267,23 @@ for _ in range(9):
         run = subprocess.run([sys.executable, "-P", "-c", program],
                              capture_output=True, text=True, timeout=60, check=False)
         assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("options", [
+    {"fps": 10}, {"fps": 333.3}, {"fps": 1000}, {"fps": 100, "stop_us": 150_000},
+    {"fps": 70, "start_us": 90_001}, {"fps": 20, "start_us": 400_000},
+    {"times_us": [50_000, 60_000, 10**9]}], ids=str)
+def test_the_length_is_the_number_of_images(turning, options, threads):
+    images = fuse(turning, threads=threads, method="cf", **options)
+    count = len(images)
+    assert len(list(images)) == count == len(images)
+
+
+def test_there_is_no_length_without_a_rate_or_an_end(turning):
+    info = RecordingInfo(
+        format="live", sensor_size=turning.info.sensor_size, layout=Layout.PDAVIS)
+    once = source_from_packets(info, turning.packets())
+    for images in fuse(turning), fuse(once, fps=100):
+        with pytest.raises(TypeError, match="no length; without a rate, or an end"):
+            len(images)

@@ -170,7 +170,7 @@ def test_a_name_of_other_libraries_is_answered_by_the_one_here(things, what, sai
 
 
 @pytest.mark.parametrize("thing", [
-    "recording", "frame", "fusion", "image", "ahead", "capture"])
+    "recording", "frame", "image", "capture"])
 def test_what_has_no_length_and_no_index_says_how_it_is_used(things, thing):
     for use in len, lambda it: it[0]:
         with pytest.raises(TypeError, match=r"(has no length|takes no index); .{10}"):
@@ -231,6 +231,12 @@ def test_colours_need_what_they_say(image):
     mask = np.where(image.valid, 255, 0).astype(np.uint8)      # as of cv2
     np.testing.assert_array_equal(
         render.aop_bgr(image.aop, mask), render.aop_bgr(image.aop, image.valid))
+
+
+@pytest.mark.parametrize("name", ["to_xarray", "write_png"])
+def test_a_name_of_a_module_below_is_found(name):
+    with pytest.raises(AttributeError, match=rf"it is pdavis_cv\.export\.{name}$"):
+        getattr(pdavis_cv, name)
 
 
 @pytest.mark.parametrize("name", ["open", "read", "load", "imread"])

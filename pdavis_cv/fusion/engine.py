@@ -28,7 +28,7 @@ from pdavis_cv.fusion.camera import (
     response_of,
 )
 from pdavis_cv.fusion.feed import Feed
-from pdavis_cv.fusion.grid import grid_us
+from pdavis_cv.fusion.grid import grid_count, grid_us
 from pdavis_cv.fusion.images import ImageMaker
 from pdavis_cv.fusion.learning import Learning
 from pdavis_cv.fusion.online_learning import OnlineLearning
@@ -186,6 +186,16 @@ class Fusion(Advises):
         if not self.advance():
             raise StopIteration
         return self.image()
+
+    def __len__(self) -> int:
+        """Return the number of all images, if options and the file's header tell it."""
+        if self._times is not None:
+            return len(self._times)
+        end, start = self.recording.info.stop_us, self.start_us
+        if end is None or self.fps is None:
+            raise TypeError(f"Fusion has no length{self._advice('len')}")
+        stop = end if self.options.stop_us is None else min(end, self.options.stop_us)
+        return 0 if start is None else grid_count(stop - start, self.fps)
 
     @property
     def index(self) -> int:

@@ -101,6 +101,10 @@ class ReadAhead(Advises, Iterator[PolarFrame]):
         self._depth = 0
         self._error: Exception | None = None
 
+    def __len__(self) -> int:
+        """Return the number of all images; see `Fusion`."""
+        return len(self._fusion)
+
     def __next__(self) -> PolarFrame:
         with self._lock:
             self._read_on()
