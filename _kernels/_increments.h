@@ -125,6 +125,43 @@ PDAVIS_INLINE int node_of(double ratio, double *share)
     return node;
 }
 
+/* A silence whose end is not known: the part of a threshold passed at a time x since the
+   last event (s) is x (rise + x bend), and its variance `open` times a shape.  (2c) */
+typedef struct {
+    double rise, bend, open, length;
+} silence_t;
+
+PDAVIS_INLINE silence_t silence_of(const around_t *a, const camera_t *c)
+{
+    double length = a->silent > LEAST_SILENCE ? a->silent : LEAST_SILENCE;
+    double before = a->before > LEAST_GAP ? a->before : LEAST_GAP, share, end, bow, z;
+    double ratio = length / before, on = goes_on(length > before ? length : before, c);
+    int node = node_of(ratio, &share);
+    const double *e = &c->end[a->context][node], *b = &c->bow[a->context][node];
+    const double *o = &c->open[a->context][node];
+    silence_t out;
+    end = e[0] + share * (e[1] - e[0]);
+    bow = 4.0 * (b[0] + share * (b[1] - b[0]));
+    out.open = o[0] + share * (o[1] - o[0]);
+    if (ratio < FIRST_RATIO) {
+        end = c->end[a->context][0] * ratio / FIRST_RATIO;
+        out.open = c->open[a->context][0] * (0.2 + 0.8 * ratio / FIRST_RATIO);
+    }
+    z = a->sign * on / length;
+    out.rise = z * (end + bow);
+    out.bend = -z * bow / length;
+    out.open *= on;
+    out.length = length;
+    return out;
+}
+
+/* Variance of the part of a silence at a time x, thresholds^2. */
+PDAVIS_INLINE double silent_variance(const silence_t *of, double x)
+{
+    double s = x / of->length;
+    return of->open * (s > 0.5 ? s : 2.0 * s * (1.0 - s));
+}
+
 /* Parts of a threshold, OFF and ON, passed at a time x since the last event, s:
    x (rise + x bend).  (2a) to (2c) */
 PDAVIS_INLINE void course_of(const around_t *a, const camera_t *c, double rise[2],
@@ -145,18 +182,9 @@ PDAVIS_INLINE void course_of(const around_t *a, const camera_t *c, double rise[2
             bend[on] = -rise[on] / a->gap;
         }
     } else if (!a->flickers) {
-        double length = a->silent > LEAST_SILENCE ? a->silent : LEAST_SILENCE;
-        double before = a->before > LEAST_GAP ? a->before : LEAST_GAP, share, end, bow;
-        double ratio = length / before, z;
-        int node = node_of(ratio, &share);
-        const double *e = &c->end[a->context][node], *b = &c->bow[a->context][node];
-        end = e[0] + share * (e[1] - e[0]);
-        bow = 4.0 * (b[0] + share * (b[1] - b[0]));
-        if (ratio < FIRST_RATIO)
-            end = c->end[a->context][0] * ratio / FIRST_RATIO;
-        z = a->sign * goes_on(length > before ? length : before, c) / length;
-        rise[on] = z * (end + bow);
-        bend[on] = -z * bow / length;
+        silence_t open = silence_of(a, c);
+        rise[on] = open.rise;
+        bend[on] = open.bend;
     }
 }
 
@@ -183,25 +211,6 @@ PDAVIS_INLINE double drift_of(const around_t *a, const camera_t *c, double *rate
         return 0.0;
     *rate = a->drift * moves(a->gap, c) / a->gap;
     return *rate * a->since;
-}
-
-/* Variance of the part of a silence whose end is not known, thresholds^2. */
-PDAVIS_INLINE double open_variance(const around_t *a, const camera_t *c)
-{
-    double length, before, share, ratio, s, v;
-    const double *o;
-    if (a->gap > 0.0)
-        return 0.0;
-    length = a->silent > LEAST_SILENCE ? a->silent : LEAST_SILENCE;
-    before = a->before > LEAST_GAP ? a->before : LEAST_GAP;
-    ratio = length / before;
-    s = a->since / length;
-    o = &c->open[a->context][node_of(ratio, &share)];
-    v = o[0] + share * (o[1] - o[0]);
-    if (ratio < FIRST_RATIO)
-        v = c->open[a->context][0] * (0.2 + 0.8 * ratio / FIRST_RATIO);
-    v *= goes_on(length > before ? length : before, c);
-    return v * (s > 0.5 ? s : 2.0 * s * (1.0 - s));
 }
 
 /* A row of an image: planes (level at the epoch, its slope, variance, its slope and

@@ -34,7 +34,10 @@ cdef extern from "_increments.h" nogil:
     int context_of(int run, double before, double before2)
     void course_of(const around_t* a, const camera_t* c, double* rise, double* bend)
     void part_of(const around_t* a, const camera_t* c, double* part, double* rate)
-    double open_variance(const around_t* a, const camera_t* c)
+    ctypedef struct silence_t:
+        double rise, bend
+    silence_t silence_of(const around_t* a, const camera_t* c)
+    double silent_variance(const silence_t* of_, double x)
     double goes_on(double gap, const camera_t* c)
     double drift_of(const around_t* a, const camera_t* c, double* rate)
     void show_row(const float* level, const float* slope, const float* variance,

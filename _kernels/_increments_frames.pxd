@@ -4,7 +4,8 @@ from libc.string cimport memset
 
 from _kernels._increments cimport (
     LAGS, MOST_SAMPLES, NEVER, around_t, camera_t, course_of, course_t, drift_of,
-    goes_on, lead_of, look, look_t, node_t, open_variance, part_of, pixel_t, stored_t)
+    goes_on, lead_of, look, look_t, node_t, pixel_t, silence_of,
+    silence_t, silent_variance, stored_t)
 from _kernels._lamp cimport lamp_flickers, lamp_t, ripple
 from _kernels._math cimport exp_f, log_f
 
@@ -42,6 +43,7 @@ cdef inline void node_of(const pixel_t* p, const stored_t* store, int64_t begin,
     cdef double top = -1e300, total, level, share, seen = 0.0, hz = 0.0
     cdef int64_t t, middle = begin + (end - begin) // 2
     cdef bint flickers = lamp_flickers(lamp, <double>begin, <double>end), in_one_gap
+    cdef silence_t open_
     cdef int i, j, turn
     node.open_t = 0
     node.open_variance = 0.0
@@ -81,7 +83,8 @@ cdef inline void node_of(const pixel_t* p, const stored_t* store, int64_t begin,
         u[i] = 0.0
         top = max(top, y[i] + lit[i])
         if t <= middle and at.next == NEVER and at.around.sign:
-            node.open_variance = <float>open_variance(&at.around, c)
+            open_ = silence_of(&at.around, c)
+            node.open_variance = <float>silent_variance(&open_, at.around.since)
     level = y[samples // 2]
     for turn in range(3 if c.hz > 0.0 or c.hz_per_light > 0.0 else 1):
         total = 0.0
@@ -212,22 +215,27 @@ cdef inline void weigh_counts(const pixel_t* p, const stored_t* store, int64_t t
                 out.open[k][2] += <float>(w * lag * lag)
 
 
-cdef inline void say(const course_t* s, int64_t t, int64_t known, const camera_t* c,
-                     double* out) noexcept nogil:
-    """What the counts say at t, for the pixel, its macropixel and its neighbours."""
+cdef inline silence_t silence_in(const course_t* s, int64_t known,
+                                 const camera_t* c) noexcept nogil:
+    """The open silence, by the events up to `known`."""
     cdef around_t a
-    cdef double[2] rise, bend
-    cdef double x = 1e-6 * <double>(t - s.origin), r, b
+    a.sign, a.context, a.before = s.sign, s.context, s.before
+    a.silent = 1e-6 * <double>(known - s.last)
+    return silence_of(&a, c)
+
+
+cdef inline void say(const course_t* s, int64_t t, double r, double b,
+                     double* out) noexcept nogil:
+    """What the counts say at t, for the pixel, its macropixel and its neighbours.
+
+    r and b are rise and bend of the open silence.
+    """
+    cdef double x = 1e-6 * <double>(t - s.origin)
     cdef int k
     for k in range(3):
         out[k] = s.level[k] + x * (s.rise[k] + x * s.bend[k])
-    if s.sign == 0:
+    if s.sign == 0 or (r == 0.0 and b == 0.0):
         return
-    a.sign, a.context, a.before = s.sign, s.context, s.before
-    a.gap, a.flickers = 0.0, 0
-    a.silent = 1e-6 * <double>(known - s.last)
-    course_of(&a, c, rise, bend)
-    r, b = rise[s.sign > 0], bend[s.sign > 0]
     x = 1e-6 * <double>(t - s.last)
     for k in range(3):
         out[k] += (s.open[k][0] * x * (r + x * b)
@@ -242,6 +250,8 @@ cdef inline int64_t around_of(const pixel_t* p, const stored_t* store, int64_t t
     Returns the event of the silence that is open at the longest lag ahead, 0: none.
     """
     cdef course_t course
+    cdef silence_t open_
     weigh_counts(p, store, t, known - t, lags, c, &course)
-    say(&course, t, known, c, out)
+    open_ = silence_in(&course, known, c)
+    say(&course, t, open_.rise, open_.bend, out)
     return course.last

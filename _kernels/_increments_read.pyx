@@ -1,16 +1,17 @@
 """Images of the filter of log intensity (_increments.pyx)."""
 from libc.math cimport fabs
-from libc.stdint cimport int32_t, int64_t, uint8_t
+from libc.stdint cimport int32_t, int64_t, uint8_t, uint32_t
 from libc.string cimport memset
 
 from _kernels._increments cimport (
     AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEVEL, LISTED,
     MOST_SAMPLES, NEVER, PER_TURN, PRIOR_ODDS, RESTS, SLOPE, SMOOTH_FROM, UNKNOWN,
-    VARIANCE, anchor_t, around_t, camera_of, camera_t, course_t, drift_of, goes_on,
-    lead_of, mean_at, node_t, open_variance, part_of, pixel_t, show_row, shown_t,
-    stored_t, weight)
+    VARIANCE, anchor_t, around_t, camera_of, camera_t, course_of, course_t,
+    drift_of, lead_of, mean_at, node_t, pixel_t, show_row, shown_t,
+    silence_of, silence_t, silent_variance, stored_t, weight)
 from _kernels._increments_frames cimport (
-    around_of, corner_of, lags_of, lags_t, node_of, say, weigh_counts)
+    around_of, corner_of, lags_of, lags_t, node_of, say, silence_in,
+    weigh_counts)
 from _kernels._lamp cimport lamp_flickers, lamp_of, lamp_t, ripple
 from _kernels._math cimport exp_f
 from _kernels._model cimport wave_t
@@ -121,11 +122,13 @@ cdef struct frames_t:
 
 cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_,
                           bint rests, Py_ssize_t x, const frames_t* f,
-                          const camera_t* c, double* log,
-                          double* variance) noexcept nogil:
-    """ln(I + black) at t without what other times and pixels say, and its variance."""
+                          const camera_t* c, double* log, double* variance,
+                          silence_t* silence) noexcept nogil:
+    """ln(I + black) at t without what other times and pixels say, its variance, and the
+    silence that is open at t."""
     cdef around_t a
-    cdef double[2] part, rate
+    cdef double[2] rise, bend
+    cdef int k
     cdef double j = 0.0, v = s.extra, v1, v2, u, slope = 0.0, light, theta2
     if s.sign and not rests and not s.state & HOT:
         a.sign = s.sign
@@ -141,12 +144,18 @@ cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_
         a.drift = s.drift
         a.flickers = s.state & FLICKERS
         j = drift_of(&a, c, &slope)
-        part_of(&a, c, part, rate)
-        j += s.theta[0] * part[0] + s.theta[1] * part[1]
-        slope += s.theta[0] * rate[0] + s.theta[1] * rate[1]
-        if a.gap == 0.0:
+        if a.gap > 0.0:
+            course_of(&a, c, rise, bend)
+        else:
+            silence[0] = silence_of(&a, c)
             theta2 = 0.25 * (c.theta[0] + c.theta[1]) * (c.theta[0] + c.theta[1])
-            v += theta2 * max(open_variance(&a, c) - s.opened, 0.0)
+            v += theta2 * max(silent_variance(silence, a.since) - s.opened, 0.0)
+            rise[0] = rise[1] = bend[0] = bend[1] = 0.0
+            if not a.flickers:
+                rise[a.sign > 0], bend[a.sign > 0] = silence.rise, silence.bend
+        for k in range(2):
+            j += s.theta[k] * a.since * (rise[k] + a.since * bend[k])
+            slope += s.theta[k] * (rise[k] + 2.0 * a.since * bend[k])
     v1 = s.p_ahead + c.alpha * fabs(1e-6 * <double>(t - f.middle[x]))
     v2 = s.p_behind + c.alpha * fabs(1e-6 * <double>(f.middle[f.w + x] - t))
     if s.state & (BEFORE | AFTER) == BEFORE | AFTER:
@@ -250,9 +259,9 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
     with nogil:
         lags = lags_of(c, f.ahead)
         for i in range(first, last):
-            at = moving[i + HOP] if i + HOP < last else 0
+            at = -1 if i + HOP >= last or f.fresh else moving[i + HOP]
             if 0 <= at < size:
-                prefetch_all(&pixels[0, 0] + at, sizeof(pixel_t))
+                prefetch(&(&pixels[0, 0] + at).flags)
                 prefetch_all(&shown[0, 0] + at, sizeof(shown_t))
                 for k in range(5):
                     prefetch(plane + k * size + at)
@@ -275,13 +284,14 @@ cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
                           const lags_t* lags, const camera_t* c, shown_t* kept,
                           course_t* course, float* plane, float* around) noexcept nogil:
     """Write a pixel's planes; return whether they have to be written again."""
-    cdef Py_ssize_t size = f.h * f.w, x = at % f.w
+    cdef Py_ssize_t size = f.h * f.w, x = <uint32_t>at % <uint32_t>f.w
     cdef int64_t t0 = t, t1 = t
     cdef double[3] out
     cdef double j0, v0, j1, v1, since, knot, seconds, rate
     cdef bint rests = False, smooth = False, changed = p.flags & CHANGED
     cdef shown_t new
     cdef shown_t* s = kept
+    cdef silence_t silence, other
     cdef int k
     if changed or f.fresh:
         p.flags = LISTED
@@ -303,6 +313,7 @@ cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
                      c, f.lamp, s)
     elif t < s.until:
         return True
+    silence.rise = silence.bend = 0.0
     s.until = 0
     knot = since = 1e-6 * <double>(t - s.last)
     if s.next > known:
@@ -331,13 +342,14 @@ cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
         s.until = NEVER
     if s.next != NEVER:
         s.until = min(s.until, s.next - f.ahead)    # then it is known
-    estimate(s, t0, t0 + f.ahead if smooth else known, smooth, rests, x, f, c, &j0, &v0)
+    estimate(s, t0, t0 + f.ahead if smooth else known, smooth, rests, x, f, c,
+             &j0, &v0, &silence)
     plane[LEVEL * size + at] = <float>j0
     plane[VARIANCE * size + at] = <float>v0
     plane[SLOPE * size + at] = plane[GROWS * size + at] = plane[BENDS * size + at] = 0.0
     if t1 > t0:
-        estimate(s, t1, t1 + f.ahead if smooth else known, smooth, rests, x, f, c, &j1,
-                 &v1)
+        estimate(s, t1, t1 + f.ahead if smooth else known, smooth, rests, x, f, c,
+                 &j1, &v1, &other)
         seconds = 1e-6 * <double>(t1 - t0)
         rate = (j1 - j0) / seconds
         since = 1e-6 * <double>(f.epoch - t0)
@@ -364,7 +376,9 @@ cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
                 weigh_counts(p, store, t, f.ahead, lags, c, course)
             if not smooth:
                 t0 = t
-            say(course, t0, t0 + f.ahead, c, out)
+            if s.next <= known:
+                silence = silence_in(course, known, c)
+            say(course, t0, silence.rise, silence.bend, out)
             for k in range(3):
                 around[k * size + at] = <float>(out[k] - f.around[k * size + at])
     if rests and p.next < 0:
