@@ -125,8 +125,8 @@ PDAVIS_INLINE int node_of(double ratio, double *share)
     return node;
 }
 
-/* A silence whose end is not known: the part of a threshold passed at a time x since the
-   last event (s) is x (rise + x bend), and its variance `open` times a shape.  (2c) */
+/* A silence whose end is not known: the part of a threshold passed at a time x since
+   the last event (s) is x (rise + x bend), its variance `open` times a shape.  (2c) */
 typedef struct {
     double rise, bend, open, length;
 } silence_t;

@@ -42,7 +42,8 @@ cdef inline void node_of(const pixel_t* p, const stored_t* store, int64_t begin,
     cdef double[MOST_SAMPLES] y, off, on, slope, u, lit
     cdef double top = -1e300, total, level, share, seen = 0.0, hz = 0.0
     cdef int64_t t, middle = begin + (end - begin) // 2
-    cdef bint flickers = lamp_flickers(lamp, <double>begin, <double>end), in_one_gap
+    cdef bint flickers = lamp_flickers(lamp, <double>begin, <double>end)
+    cdef bint in_one_gap, leads = False
     cdef silence_t open_
     cdef int i, j, turn
     node.open_t = 0
@@ -80,16 +81,17 @@ cdef inline void node_of(const pixel_t* p, const stored_t* store, int64_t begin,
         y[i] += (1.0 + gain[0]) * off[i] + (1.0 + gain[1]) * on[i]
         slope[i] += ((1.0 + gain[0]) * c.theta[0] * rate[0]
                      + (1.0 + gain[1]) * c.theta[1] * rate[1])
+        leads |= slope[i] != 0.0
         u[i] = 0.0
         top = max(top, y[i] + lit[i])
         if t <= middle and at.next == NEVER and at.around.sign:
             open_ = silence_of(&at.around, c)
             node.open_variance = <float>silent_variance(&open_, at.around.since)
     level = y[samples // 2]
-    for turn in range(3 if c.hz > 0.0 or c.hz_per_light > 0.0 else 1):
+    for turn in range(3 if leads and node.variance > 0.0 else 1):
         total = 0.0
         for i in range(samples):
-            if turn > 0 and node.variance > 0.0:
+            if turn > 0 and slope[i] != 0.0:
                 share = exp_f(<float>(node.log - level + y[i])) - c.black
                 u[i] = lead_of(slope[i], max(share, 1e-3), c)
             total += exp_f(<float>(y[i] + u[i] + lit[i] - top))

@@ -197,7 +197,8 @@ def increments_back(list nodes not None, const double[:, ::1] seconds not None,
 
 cdef inline void back_one(const node_t** frames, Py_ssize_t n, Py_ssize_t at,
                           const double* seconds, Py_ssize_t w, const camera_t* c,
-                          const anchor_t* a, float* log, float* variance) noexcept nogil:
+                          const anchor_t* a, float* log,
+                          float* variance) noexcept nogil:
     cdef between_t step
     cdef bint hot = a.hot > PRIOR_ODDS
     cdef double b = 0.0, v = -1.0, e, r

@@ -5,7 +5,7 @@ A pixel's events are contiguous in memory.  The observation model is _increments
 from libc.stdint cimport int8_t, int32_t, int64_t
 
 from _kernels._increments cimport (
-    around_t, camera_t, context_of, goes_on, lead_of, part_of, weight_of)
+    around_t, camera_t, context_of, course_of, goes_on, lead_of, part_of, weight_of)
 from _kernels._math cimport exp_f, log_f
 
 cdef enum:
@@ -172,43 +172,61 @@ cdef inline void mean_of(const past_t* events, int64_t low, int64_t high, int64_
                          double* out) noexcept nogil:
     cdef double[MOST_SAMPLES][COUNTS] f
     cdef double[MOST_SAMPLES] y, slope, u
-    cdef double[2] rate
-    cdef double top = -1e300, total, level, share, light
-    cdef int64_t t, k
+    cdef double[2] rise, bend, count
+    cdef double top = -1e300, total, level, share, light, since = 0.0
+    cdef int64_t t, k = low - 1, before
+    cdef around_t around
+    cdef bint leads = False
     cdef int i, j, turn
+    around.gap = 0.0
     for i in range(samples):
         t = begin + <int64_t>((end - begin) * (i + 0.5) / samples)
-        k = last_at(events, low, high, t)
-        counts_at(events, low, k, high, t, max(known, t + ahead), c, f[i], rate)
+        before = k
+        if i == 0:
+            k = last_at(events, low, high, t)
+        while k + 1 < high and events[k + 1].t <= t:
+            k += 1
+        if i == 0 or k != before:
+            count[0] = count[1] = rise[0] = rise[1] = bend[0] = bend[1] = 0.0
+            for j in range(CLASSES if k >= low else 0):
+                count[0] += events[k].total[j]
+                count[1] += events[k].total[CLASSES + j]
+        if k >= low:
+            since = 1e-6 * <double>(t - events[k].t)
+            # In a gap whose end is known, the course stays the same.
+            if k != before or around.gap <= 0.0:
+                fill(events, k, high, t, max(known, t + ahead), &around)
+                course_of(&around, c, rise, bend)
+        for j in range(2):
+            f[i][j] = count[j] + since * (rise[j] + since * bend[j])
         y[i] = c.theta[0] * f[i][0] * off + c.theta[1] * f[i][1] * on
         for j in range(2 * CLASSES):
             f[i][2 + j] = events[k].total[j] if k >= low else 0.0
         for j in range(CLASSES):
             y[i] += (c.by_class[0][j] * f[i][2 + j] * off
                      + c.by_class[1][j] * f[i][2 + CLASSES + j] * on)
-        slope[i] = c.theta[0] * rate[0] * off + c.theta[1] * rate[1] * on
+        slope[i] = (c.theta[0] * (rise[0] + 2.0 * since * bend[0]) * off
+                    + c.theta[1] * (rise[1] + 2.0 * since * bend[1]) * on)
+        leads |= slope[i] != 0.0
         u[i] = 0.0
         top = max(top, y[i])
     level = y[samples // 2]
     total = 1.0
-    for turn in range(3 if c.hz > 0.0 or c.hz_per_light > 0.0 else 1):
+    for turn in range(3 if leads else 1):
         total = 0.0
         for i in range(samples):
-            if turn > 0:
+            if turn > 0 and slope[i] != 0.0:
                 light = exp_f(<float>(log - level + y[i])) - c.black
                 u[i] = lead_of(slope[i], max(light, 1e-3), c)
             total += exp_f(<float>(y[i] + u[i] - top))
         level = top + log_f(<float>(total / samples))
-    for j in range(COUNTS):
+    for j in range(COUNTS + 2):
         out[j] = 0.0
+    out[COUNTS] = level
     for i in range(samples):
         share = exp_f(<float>(y[i] + u[i] - top)) / total
         for j in range(COUNTS):
             out[j] += share * f[i][j]
-    out[COUNTS] = level
-    out[COUNTS + 1] = 0.0
-    for i in range(samples):
-        share = exp_f(<float>(y[i] + u[i] - top)) / total
         light = y[i] + u[i] - level
         out[COUNTS + 1] += share * light * light
 
