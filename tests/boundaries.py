@@ -268,14 +268,6 @@ def table():
         ("dominant_tone", a.dominant_tone, {
             "t_us": t, "values": trace, "lowest_hz": 0.5, "highest_hz": 20.0,
             "harmonics": 3}),
-        ("fit_tone", a.fit_tone, {
-            "t_us": t, "values": trace, "hz": 1.0, "harmonics": 3}),
-        ("cycle_average", a.cycle_average, {
-            "t_us": t, "values": trace, "hz": 1.0, "bins": 10, "reference_us": 0}),
-        ("cycle_drift", a.cycle_drift, {
-            "t_us": t, "values": trace, "hz": 1.0, "reference_us": 0}),
-        ("hysteresis", a.hysteresis, {
-            "t_us": t, "x": trace, "y": trace + 1, "hz": 1.0, "bins": 20}),
         ("axial_difference", a.axial_difference, {"a": plane, "b": plane}),
         ("retardance", a.retardance, {"dolp": plane / 4}),
         ("events_by_phase", a.events_by_phase, {

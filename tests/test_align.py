@@ -10,7 +10,6 @@ from pdavis_cv.analysis import (
     align_by_correlation,
     align_by_offset,
     align_by_triggers,
-    hysteresis,
     read_load,
 )
 
@@ -181,20 +180,6 @@ def test_a_stated_offset_is_taken_as_it_is():
     assert np.max(np.abs(errors_ms(clock))) < 1e-3
     with pytest.raises(ValueError, match="offset_s must be finite"):
         align_by_offset(EPOCH, np.nan)
-
-
-def test_the_loop_of_an_ellipse_has_its_area_and_its_sense():
-    t = np.arange(0, 10_000_000, 5_000)
-    u = 2 * np.pi * t / 1e6
-    loop = hysteresis(t, np.cos(u), 3 * np.sin(u), 1.0)
-    assert loop.cycles == 10
-    assert loop.area == pytest.approx(-3 * np.pi, rel=1e-3)  # counter-clockwise
-    assert hysteresis(t, np.cos(u), -3 * np.sin(u), 1.0).area == pytest.approx(
-        3 * np.pi, rel=1e-3)
-    # A material that loses energy: force ahead of displacement.
-    assert hysteresis(t, np.cos(u), np.cos(u + 0.2), 1.0).area > 0
-    with pytest.raises(ValueError, match="a complete cycle"):
-        hysteresis(t[:50], np.cos(u[:50]), np.sin(u[:50]), 1.0)
 
 
 @pytest.mark.parametrize("text", [

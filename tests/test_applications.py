@@ -163,7 +163,7 @@ def test_tendon_finds_the_load_and_writes_everything(
     assert zero == pytest.approx(0.2, abs=0.002)
     assert hz == pytest.approx(5.0, rel=0.005)
     table = pandas.read_csv(out / "traces.csv")
-    images = list(fuse(recording, fps=100))
+    images = list(fuse(recording, fps=100, demosaic="guided"))
     mean = [[float(p[6:18, 8:24].mean(dtype=float)) for p in (f.s0, f.s1, f.s2)]
             for f in images if f.valid[6:18, 8:24].all()]
     s0, s1, s2 = np.array(mean).T
@@ -174,19 +174,27 @@ def test_tendon_finds_the_load_and_writes_everything(
     np.testing.assert_allclose(
         table["birefringence"], delta * 0.530 / (2 * np.pi * 300), rtol=1e-5)
     assert table["force_n"].between(19, 31).sum() > 100
-    with np.load(out / "lockin.npz") as maps:
-        assert maps["amplitude"].shape == maps["mean_dolp"].shape == (24, 32)
-        assert 0.2 < maps["mean_dolp"].mean() < 0.8
-        assert json.loads(str(maps["provenance"]))["hz"] == pytest.approx(hz, abs=1e-4)
+    tifffile = pytest.importorskip("tifffile")
+    with tifffile.TiffFile(out / "maps.ome.tif") as file:
+        assert file.asarray().shape == (8, 24, 32)
+        for text in ("mean AoP (deg)", "phase of DoLP (deg)", 'SizeX="32"'):
+            assert text in file.ome_metadata
     report = (out / "report.html").read_text()
     assert not re.search(r"(src|href)=\"?(http|/|\.)", report)  # holds all it shows
     assert report.count("data:image/png;base64,") == 6
-    assert f"{table['birefringence'].mean():.3e}" in report
+    row = pandas.read_csv(out / "results.csv").iloc[0]
+    for name in ("birefringence", "dolp_amplitude", "phase_deg"):
+        assert f"{row[name]}" in report
+    everything = json.loads((out / "results.json").read_text())
+    assert everything["regions"][0]["loop_area"] == pytest.approx(
+        row["loop_area"], abs=row["loop_area_se"])
+    assert abs(row["lag_behind_load_deg"]) < 1
     names = {path.name for path in out.iterdir()}
     assert json.loads((out / "traces.csv.json").read_text())["hz"] == pytest.approx(
         hz, abs=1e-4)
     assert names == {"traces.csv", "traces.csv.json", "traces-jaer.csv", "frames.csv",
-                     "frames.csv.json", "cycle.csv", "loop.csv", "lockin.npz",
+                     "frames.csv.json", "cycle.csv", "loop.csv", "maps.ome.tif",
+                     "results.csv", "results.json",
                      "tendon.webm", "report.html"}
 
 
@@ -263,17 +271,44 @@ def test_tendon_subtracts_the_polarization_of_the_light(
     np.testing.assert_allclose(vectors[0] - vectors[1], 0.1 * gain, atol=2e-4)
 
 
-@pytest.mark.gate
-def test_tendon_warns_where_frames_alias_and_not_where_they_do_not(
-        tmp_path, pulled, monkeypatch, capsys):
+def true_wave(truth, hz, x, y):
+    """Mean, amplitude and phase at time 0 of DoLP of a region's mean Stokes vector."""
+    t = np.arange(64) / 64 / hz * 1e6
+    s0, s1, s2 = np.array([np.mean(truth.stokes(now, x, y), 1) for now in t]).T
+    found = np.fft.fft(np.hypot(s1, s2) / s0) / 64
+    return abs(found[0]), 2 * abs(found[1]), np.angle(found[1])
+
+
+@pytest.mark.parametrize(("hz", "seconds"), [
+    pytest.param(1.01, 4.0, marks=pytest.mark.gate), (10.13, 4.0), (20.26, 6.0)])
+def test_amplitude_and_phase_of_any_speed_are_those_of_the_light(
+        tmp_path, monkeypatch, capsys, hz, seconds):
     pytest.importorskip("matplotlib")
-    recording, _, _ = pulled
+    recording, truth = Camera.preset("nominal", seed=1001, size=(28, 36)).record(
+        Tendon(hz=hz), seconds)
     opens_by(monkeypatch, opener({"a": recording}))
-    for load_hz, warned in ((10.0, True), (1.0, False)):
-        assert tendon.main(["a", "-o", str(tmp_path), "--no-video", "--fps", "50",
-                            "--load-hz", str(load_hz)]) == 0
-        said = capsys.readouterr().err
-        assert ("aliases at 20 samples per second" in said) == warned
+    assert tendon.main(["a", "-o", str(tmp_path), "--no-video", "--region",
+                        "m=6,4,24,20", "--load-hz", f"{hz * 1.003}"]) == 0
+    row = json.loads((tmp_path / "results.json").read_text())["regions"][0]
+    y, x = np.mgrid[4:24, 6:30]
+    mean, amplitude, phase = true_wave(truth, hz, x.ravel(), y.ravel())
+    assert row["dolp"] == pytest.approx(mean, rel=0.01)
+    assert row["dolp_amplitude"] == pytest.approx(amplitude, rel=0.01)
+    phase += 2 * np.pi * hz * recording.info.start_us / 1e6
+    off = np.angle(np.exp(1j * (np.deg2rad(row["phase_deg"]) - phase)))
+    assert abs(np.rad2deg(off)) < 3 * row["phase_se_deg"] < 1.5
+
+
+def test_a_load_in_step_with_the_frames_is_refused_and_the_mean_written(
+        tmp_path, monkeypatch, capsys):
+    pytest.importorskip("matplotlib")
+    recording, _ = Camera.preset("ideal", size=(20, 24)).record(Tendon(hz=10.0), 2.0)
+    opens_by(monkeypatch, opener({"a": recording}))
+    assert tendon.main(["a", "-o", str(tmp_path), "--no-video", "--load-hz", "10"]) == 0
+    assert "see 10 Hz always at the same phases" in capsys.readouterr().out
+    row = json.loads((tmp_path / "results.json").read_text())["regions"][0]
+    assert "dolp_amplitude" not in row
+    assert 0.2 < row["dolp"] < 0.8
 
 
 @pytest.mark.parametrize(("arguments", "message"), [

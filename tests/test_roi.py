@@ -1,4 +1,6 @@
 """Regions of interest."""
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -113,6 +115,35 @@ def test_regions_of_fiji_are_read(tmp_path):
         fibre.mask(SENSOR), Roi.from_rectangle(10, 20, 32, 16).mask(SENSOR))
     [alone] = parse_roi(str(tmp_path / "fibre.roi"))
     np.testing.assert_array_equal(alone.mask(SENSOR), fibre.mask(SENSOR))
+
+
+def test_polygons_of_geojson_are_read(tmp_path):
+    ring = [[2, 1], [6, 1], [6, 5], [2, 5], [2, 1]]
+    hole = [[3, 2], [4, 2], [4, 3], [3, 3], [3, 2]]
+    polygon = {"type": "Polygon", "coordinates": [ring, hole]}
+    path = tmp_path / "cells.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [
+        {"type": "Feature", "geometry": polygon, "properties": {"name": "fibre"}},
+        {"type": "Feature", "geometry": {
+            "type": "MultiPolygon", "coordinates": [[ring]]}}]}))
+    first, second = parse_roi(str(path))
+    assert (first.name, second.name) == ("fibre", "cells 2")
+    want = np.zeros((8, 8), bool)
+    want[1:5, 2:6] = True
+    np.testing.assert_array_equal(second.mask((8, 8)), want)
+    want[2, 3] = False
+    np.testing.assert_array_equal(first.mask((8, 8)), want)
+
+
+@pytest.mark.parametrize("text", [
+    "", "[]", "{}", "3", "nul", '{"type": "Point", "coordinates": [1, 2]}',
+    '{"type": "Polygon", "coordinates": [[1, 2]]}',
+    '{"type": "Polygon", "coordinates": [[["a", 2], [3, 4], [5, 6]]]}',
+    '{"type": "LineString", "coordinates": [[1, 2], [3, 4], [5, 6]]}'])
+def test_geojson_without_polygons_is_refused_by_name(tmp_path, text):
+    (tmp_path / "a.geojson").write_text(text)
+    with pytest.raises(ValueError, match=r"a\.geojson: "):
+        read_rois(tmp_path / "a.geojson")
 
 
 def test_lines_and_foreign_files_are_refused_by_name(tmp_path):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.analysis import LockIn
+from pdavis_cv.analysis import HarmonicFit, PhaseLaw
 from pdavis_cv.fusion import fuse
 from pdavis_cv.simulation import Camera, Tendon
 
@@ -121,11 +121,14 @@ def _images(name: str, hz: float, preset: str, take: Take, grid: NDArray[np.int6
 
 def _followed(name: str, hz: float, t_us: NDArray[np.int64],
               stokes: NDArray[np.float64], truth: Any) -> Pull:
-    lock = LockIn((_SIDE // 2, _SIDE // 2), hz, int(t_us[0]))
+    lock = HarmonicFit(
+        (_SIDE // 2, _SIDE // 2), PhaseLaw.steady(hz, int(t_us[0])), harmonics=1,
+        degree=0, span_us=(int(t_us[0]), int(t_us[-1])), signals=1)
     for t, (s0, s1, s2) in zip(t_us, stokes, strict=True):
-        lock.add(int(t), np.hypot(s1, s2) / s0)
+        lock.add(int(t), (np.hypot(s1, s2) / s0)[None])
     return Pull(hz, name, t_us, _dolp_of_mean(stokes),
-                _dolp_of_mean(_truth(truth, t_us)), lock.maps().amplitude)
+                _dolp_of_mean(_truth(truth, t_us)),
+                lock.result().wave().amplitude[0])
 
 
 def _dolp_of_mean(stokes: NDArray[np.float64]) -> NDArray[np.float64]:

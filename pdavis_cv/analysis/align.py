@@ -13,11 +13,9 @@ from pdavis_cv.errors import AnalysisWarning
 
 __all__ = [
     "Clock",
-    "Loop",
     "align_by_correlation",
     "align_by_offset",
     "align_by_triggers",
-    "hysteresis",
 ]
 
 FloatArray = NDArray[np.float64]
@@ -67,29 +65,6 @@ class Clock:
         """Convert times of the recording to the other clock's time, s."""
         t = (np.asarray(t_us, np.int64) - self.origin_us) / 1e6
         return np.asarray((t - self.offset_s) / (1 + self.skew_ppm * 1e-6))
-
-
-@dataclass(frozen=True, eq=False)
-class Loop:
-    """An average loop of one signal over another, and its area.
-
-    Parameters
-    ----------
-    x, y : ndarray of float64, shape (B,)
-        Means in phase bins, in time order.
-    area, area_se : float
-        Signed area per cycle, mean and standard error over cycles.  It is positive for
-        a clockwise loop in a plot of y over x; for force over displacement it is the
-        work lost.
-    cycles : int
-        Complete cycles.
-    """
-
-    x: FloatArray
-    y: FloatArray
-    area: float
-    area_se: float
-    cycles: int
 
 
 def align_by_offset(
@@ -419,53 +394,3 @@ def _smooth(load: LoadTrace, step: float) -> Any:
     values = np.interp(grid, load.t_s, load.primary)
     width = min(step, max(5e-3, 2 * fine))
     return CubicSpline(grid, gaussian_filter1d(values, width / fine, mode="nearest"))
-
-
-def hysteresis(
-    t_us: ArrayLike, x: ArrayLike, y: ArrayLike, hz: float, *, bins: int = 60
-) -> Loop:
-    """Average two signals over cycles of a frequency, and measure the loop's area.
-
-    Parameters
-    ----------
-    t_us : array_like of int, shape (N,)
-        Increasing common times.
-    x, y : array_like, shape (N,)
-        The signals, e.g. displacement and force; NaN are left out.
-    hz : float
-        Frequency.
-    bins : int
-        Points of the loop.
-
-    Returns
-    -------
-    Loop
-
-    Raises
-    ------
-    ValueError
-        If there is no complete cycle with eight samples, or ``hz`` is invalid.
-    """
-    from pdavis_cv.analysis.spectrum import (
-        checked_hz,
-        checked_trace,
-        complete_cycles,
-        cycle_average,
-    )
-    hz = checked_hz(hz)
-    t, a, b = checked_trace(t_us, x=x, y=y)
-    usable = np.isfinite(a) & np.isfinite(b)
-    t, a, b = t[usable], a[usable], b[usable]
-    areas = []
-    for _, _, part in complete_cycles(t, int(t[0]) if len(t) else 0, hz):
-        px, py = a[part], b[part]
-        if len(px) >= 8:
-            areas.append(0.5 * float(
-                np.sum(px * np.roll(py, -1) - np.roll(px, -1) * py)))
-    if not areas:
-        raise ValueError("t_us must hold a complete cycle with eight samples")
-    loop_x, loop_y = cycle_average(t, a, hz, bins=bins), cycle_average(
-        t, b, hz, bins=bins)
-    area = -np.array(areas)
-    se = float(area.std(ddof=1) / np.sqrt(len(area))) if len(area) > 1 else np.nan
-    return Loop(loop_x.mean, loop_y.mean, float(area.mean()), se, len(area))

@@ -1,6 +1,7 @@
-"""Regions of interest: rectangles, polygons and files of Fiji's ROI manager."""
+"""Regions of interest: rectangles, polygons, GeoJSON, files of Fiji's ROI manager."""
 from __future__ import annotations
 
+import json
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -173,7 +174,7 @@ def parse_roi(text: str) -> list[Roi]:
     ----------
     text : str
         ``x,y,width,height`` or ``x1,y1;x2,y2;x3,y3...``, each optionally after
-        ``name=``, or the path of a Fiji ``.roi`` or ``.zip``.
+        ``name=``, or the path of a Fiji ``.roi`` or ``.zip`` or a ``.geojson``.
 
     Returns
     -------
@@ -191,7 +192,7 @@ def parse_roi(text: str) -> list[Roi]:
     >>> parse_roi("fibre=10,20,32,16")[0].rectangle
     (10, 20, 32, 16)
     """
-    if Path(text).suffix.lower() in (".roi", ".zip"):
+    if Path(text).suffix.lower() in (".roi", ".zip", ".json", ".geojson"):
         return read_rois(text)
     name, _, numbers = text.rpartition("=")
     name = name or numbers
@@ -209,16 +210,17 @@ def parse_roi(text: str) -> list[Roi]:
         return [Roi.from_polygon(corners, name)]
     raise ValueError(
         "roi must be [name=]x,y,width,height or [name=]x1,y1;x2,y2;x3,y3... or a "
-        f"Fiji .roi or .zip file, got {text!r}")
+        f"Fiji .roi or .zip or .geojson file, got {text!r}")
 
 
 def read_rois(path: str | Path) -> list[Roi]:
-    """Read the regions of a Fiji ``.roi`` file or ROI manager ``.zip``.
+    """Read the regions of a Fiji ``.roi`` or ROI manager ``.zip``, or of GeoJSON.
 
     Parameters
     ----------
     path : str or Path
-        Rectangles, ovals, polygons, freehand and composite regions are supported.
+        Rectangles, ovals, polygons, freehand and composite regions of Fiji; polygons
+        of GeoJSON (QuPath), in pixels, holes included.
 
     Returns
     -------
@@ -227,12 +229,14 @@ def read_rois(path: str | Path) -> list[Roi]:
     Raises
     ------
     ImportError
-        If roifile (extra ``[roi]``) is not installed.
+        If roifile (extra ``[roi]``) is not installed; GeoJSON does not need it.
     ValueError
         If the file has another format, or holds a line or a point.
     OSError
         If the file cannot be read.
     """
+    if Path(path).suffix.lower() in (".json", ".geojson"):
+        return _from_geojson(Path(path))
     try:
         import roifile
     except ImportError:
@@ -280,3 +284,30 @@ def _from_fiji(region: Any, path: Path) -> Roi:
     if not all(np.isfinite(ring).all() for ring in rings):
         raise ValueError(f"{path}: roi {name!r} must have finite corners")
     return Roi(name, rings)
+
+
+def _from_geojson(path: Path) -> list[Roi]:
+    """Return the polygons of GeoJSON: a geometry, a feature, or several."""
+    try:
+        found = json.loads(path.read_text("utf-8"))
+        if isinstance(found, dict):
+            found = found.get("features", [found])
+        regions = []
+        for i, feature in enumerate(found):
+            shape = feature.get("geometry", feature)
+            name = (feature.get("properties") or {}).get("name") or (
+                path.stem if len(found) == 1 else f"{path.stem} {i + 1}")
+            parts = shape["coordinates"]
+            if shape["type"] not in ("Polygon", "MultiPolygon"):
+                raise ValueError(f"{name!r} is a {shape['type']}, which has no area")
+            rings = parts if shape["type"] == "Polygon" else [
+                ring for part in parts for ring in part]
+            regions.append(Roi(str(name), tuple(
+                Roi.from_polygon(np.array(ring)[:, :2], str(name)).rings[0]
+                for ring in rings)))
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError,
+            RecursionError) as error:
+        raise ValueError(f"{path}: not GeoJSON of polygons, {error}") from None
+    if not regions:
+        raise ValueError(f"{path}: the file holds no region")
+    return regions

@@ -1,8 +1,6 @@
-"""Periodic signals: frequency, harmonics, cycle average, drift, aliases."""
+"""The strongest periodic component of a trace."""
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,31 +8,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._checks import real_number, whole_number
+from pdavis_cv.analysis.cycles import inflation
 from pdavis_cv.analysis.periodogram import highest_peak
-from pdavis_cv.errors import AnalysisWarning
-from pdavis_cv.events import FAR, checked_time
+from pdavis_cv.events import FAR
 
 __all__ = [
-    "Cycle",
-    "Drift",
     "Tone",
-    "alias_warning",
     "checked_hz",
     "checked_trace",
-    "complete_cycles",
-    "cycle_average",
-    "cycle_drift",
     "dominant_tone",
-    "fit_tone",
-    "phase_locked",
 ]
 
 FloatArray = NDArray[np.float64]
 
 # Part of a column beyond the span of others that is no more than rounding.
 _DEPENDENT = 1e-10
-# With fewer samples per cycle, the amplitude depends on their phases.
-_SAMPLES_PER_CYCLE = 2.5
 
 MOST_HZ = 500_000.0
 """Largest frequency: half the rate of a clock of microseconds."""
@@ -49,8 +37,7 @@ MOST_OVERSAMPLING = 50
 rate are looked for in unevenly sampled traces only."""
 _MOST_VALUE = 1e100
 """Bound on the values of a trace: the sums of their squares are finite."""
-MOST_BINS = 1_000_000
-"""A choice: the bins are held in memory."""
+
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,52 +83,6 @@ class Tone:
         """Root sum square of the harmonics divided by the fundamental (THD)."""
         harmonics = float(np.sqrt(np.sum(self.amplitude[1:] ** 2)))
         return harmonics / float(self.amplitude[0]) if self.amplitude[0] > 0 else np.nan
-
-
-@dataclass(frozen=True, eq=False)
-class Cycle:
-    """An average cycle in equal phase bins.
-
-    Parameters
-    ----------
-    phase : ndarray of float64, shape (B,)
-        Bin centres in cycles, 0..1, from ``reference_us`` on.
-    mean, sd, se : ndarray of float64, shape (B,)
-        Mean, standard deviation, and standard error of the mean; NaN in an empty bin.
-    count : ndarray of int64, shape (B,)
-        Samples in the bin.
-    """
-
-    phase: FloatArray
-    mean: FloatArray
-    sd: FloatArray
-    se: FloatArray
-    count: NDArray[np.int64]
-
-
-@dataclass(frozen=True, eq=False)
-class Drift:
-    """Change of mean and amplitude from cycle to cycle.
-
-    Parameters
-    ----------
-    cycle : ndarray of int64, shape (C,)
-        Numbers of the complete cycles.
-    mean, amplitude : ndarray of float64, shape (C,)
-        Those of each cycle.
-    mean_per_cycle, mean_per_cycle_se : float
-        Slope of the mean, and its standard error.
-    amplitude_per_cycle, amplitude_per_cycle_se : float
-        Slope of the amplitude, and its standard error.
-    """
-
-    cycle: NDArray[np.int64]
-    mean: FloatArray
-    amplitude: FloatArray
-    mean_per_cycle: float
-    mean_per_cycle_se: float
-    amplitude_per_cycle: float
-    amplitude_per_cycle_se: float
 
 
 def dominant_tone(
@@ -203,44 +144,6 @@ def dominant_tone(
     return _refine(t, v, reference, best, rate, harmonics, false_alarm)
 
 
-def fit_tone(
-    t_us: ArrayLike, values: ArrayLike, hz: float, *, harmonics: int = 4
-) -> Tone:
-    """Fit a periodic signal whose frequency is nearly known.
-
-    Parameters
-    ----------
-    t_us : array_like of int, shape (N,)
-        Increasing times in microseconds.
-    values : array_like, shape (N,)
-        The trace; NaN are left out.
-    hz : float
-        Frequency, accurate to half a cycle over the record.
-    harmonics : int
-        Fundamental and harmonics to fit, 1 to 20.
-
-    Returns
-    -------
-    Tone
-        ``false_alarm`` is that of this one frequency.
-
-    Raises
-    ------
-    ValueError
-        If fewer than 8 samples are left, a value lies beyond 1e100, or ``hz`` is not
-        positive.
-    """
-    hz = checked_hz(hz)
-    harmonics = whole_number("harmonics", harmonics, 1, MOST_HARMONICS)
-    t, v, reference = _clean(t_us, values)
-    rate = 1 / float(np.median(np.diff(t)))
-    hz = max(hz, _LEAST_CYCLES / float(t[-1] - t[0]))
-    basis = _basis(t, hz, 1)
-    whole, reduced = _residual(basis, v), _residual(basis[:, :2], v)
-    z = (len(t) - 4) / 2 * max(0.0, 1 - whole / reduced) if reduced > 0 else 0.0
-    return _refine(t, v, reference, hz, rate, harmonics, float(np.exp(-z)))
-
-
 def checked_trace(t_us: ArrayLike, **values: ArrayLike) -> tuple[NDArray[Any], ...]:
     """Return the times of a trace as int64 and its values as float64, same shapes.
 
@@ -278,41 +181,6 @@ def checked_hz(hz: float) -> float:
     if not 0 < number <= MOST_HZ:
         raise ValueError(f"hz must be positive and at most {MOST_HZ:g}, got {hz!r}")
     return number
-
-
-def complete_cycles(
-    t: NDArray[np.int64], reference_us: int, hz: float
-) -> Iterator[tuple[int, FloatArray, slice]]:
-    """Yield the complete cycles with samples, in order.
-
-    Parameters
-    ----------
-    t : ndarray of int64, shape (N,)
-        Increasing times in us.
-    reference_us : int
-        Start of cycle 0.
-    hz : float
-
-    Yields
-    ------
-    number : int
-    phase : ndarray of float64, shape (N,)
-        Phase of all samples, in cycles since the reference.
-    part : slice
-        The cycle's samples.
-    """
-    if not t.size:
-        return
-    cycles = np.asarray((t - reference_us) * (hz / 1e6), np.float64)
-    number = np.floor(cycles).astype(np.int64)
-    step = float(np.median(np.diff(cycles))) if t.size > 1 else 0.0
-    first = int(np.ceil(cycles[0] - 1e-6))
-    end = int(np.floor(cycles[-1] + step + 1e-6))
-    found, at = np.unique(number, return_index=True)
-    for n, start, stop in zip(
-            found.tolist(), at.tolist(), [*at[1:].tolist(), len(t)], strict=True):
-        if first <= n < end:
-            yield n, cycles, slice(start, stop)
 
 
 def _clean(t_us: ArrayLike, values: ArrayLike) -> tuple[FloatArray, FloatArray, int]:
@@ -389,7 +257,7 @@ def _refine(
     jacobian = np.column_stack((basis, slope))
     freedom = max(1, len(t) - jacobian.shape[1])
     variance = float(residual @ residual) / freedom
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * variance * _inflation(residual)
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * variance * inflation(residual)
     size = np.hypot(a, b)
     se_amplitude, se_phase = np.empty(count), np.empty(count)
     for k in range(count):
@@ -405,181 +273,3 @@ def _refine(
         amplitude_se=se_amplitude, phase=np.arctan2(-b, a), phase_se=se_phase,
         reference_us=reference, false_alarm=min(1.0, false_alarm),
         residual_sd=float(np.sqrt(variance)))
-
-
-def _inflation(residual: FloatArray) -> float:
-    """Return the variance inflation by correlated residuals, (1 + r) / (1 - r)."""
-    energy = float(residual @ residual)
-    if energy <= 0:
-        return 1.0
-    r = min(max(float(residual[1:] @ residual[:-1]) / energy, 0.0), 0.99)
-    return (1 + r) / (1 - r)
-
-
-def cycle_average(
-    t_us: ArrayLike, values: ArrayLike, hz: float, *, bins: int = 40,
-    reference_us: int | None = None,
-) -> Cycle:
-    """Average a trace in bins of the phase of a frequency.
-
-    Parameters
-    ----------
-    t_us : array_like of int, shape (N,)
-        Times in microseconds.
-    values : array_like, shape (N,)
-        The trace; NaN are left out.
-    hz : float
-        Frequency.
-    bins : int
-        Number of equal bins of the cycle.
-    reference_us : int, optional
-        Time of phase 0; default the first time.
-
-    Returns
-    -------
-    Cycle
-
-    Raises
-    ------
-    ValueError
-        If ``hz`` or ``bins`` is not positive.
-    """
-    hz = checked_hz(hz)
-    bins = whole_number("bins", bins, 1, MOST_BINS)
-    t, v = checked_trace(t_us, values=values)
-    reference = checked_time("reference_us", (
-        int(t[0]) if reference_us is None and t.size else reference_us or 0))
-    usable = np.isfinite(v)
-    t, v = t[usable], v[usable]
-    phase = np.mod((t - reference) * (hz / 1e6), 1)
-    place = np.minimum((phase * bins).astype(np.int64), bins - 1)
-    count = np.bincount(place, minlength=bins)
-    some, many = count > 0, count > 1
-    mean = np.full(bins, np.nan)
-    np.divide(np.bincount(place, v, bins), count, out=mean, where=some)
-    square = np.bincount(place, (v - mean[place]) ** 2, bins)
-    variance = np.full(bins, np.nan)
-    np.divide(square, count - 1, out=variance, where=many)
-    sd = np.sqrt(variance)
-    se = np.full(bins, np.nan)
-    np.divide(sd, np.sqrt(np.maximum(count, 1)), out=se, where=many)
-    return Cycle((np.arange(bins) + 0.5) / bins, mean, sd, se, count)
-
-
-def cycle_drift(
-    t_us: ArrayLike, values: ArrayLike, hz: float, *, reference_us: int | None = None
-) -> Drift:
-    """Measure each complete cycle, and the trend over cycles.
-
-    Parameters
-    ----------
-    t_us : array_like of int, shape (N,)
-        Increasing times in microseconds.
-    values : array_like, shape (N,)
-        The trace; NaN are left out.
-    hz : float
-        Frequency; a cycle needs five samples.
-    reference_us : int, optional
-        Start of cycle 0; default: the first time.
-
-    Returns
-    -------
-    Drift
-        Slopes are NaN with fewer than three cycles.
-
-    Raises
-    ------
-    ValueError
-        If ``hz`` is not positive.
-    """
-    hz = checked_hz(hz)
-    t, v = checked_trace(t_us, values=values)
-    reference = checked_time("reference_us", (
-        int(t[0]) if reference_us is None and t.size else reference_us or 0))
-    numbers, means, amplitudes = [], [], []
-    for n, cycles, part in complete_cycles(t, reference, hz):
-        usable = np.isfinite(v[part])
-        if np.count_nonzero(usable) < 5:
-            continue
-        u = 2 * np.pi * cycles[part][usable]
-        basis = np.stack((np.ones_like(u), np.cos(u), np.sin(u)), axis=1)
-        solution = np.linalg.lstsq(basis, v[part][usable], rcond=None)[0]
-        numbers.append(n)
-        means.append(float(solution[0]))
-        amplitudes.append(float(np.hypot(solution[1], solution[2])))
-    index = np.array(numbers, np.int64)
-    mean, amplitude = np.array(means), np.array(amplitudes)
-    return Drift(
-        index, mean, amplitude, *_trend(index, mean), *_trend(index, amplitude))
-
-
-def _trend(x: NDArray[np.int64], y: FloatArray) -> tuple[float, float]:
-    if len(x) < 3:
-        return np.nan, np.nan
-    centred = x - x.mean()
-    spread = float(centred @ centred)
-    slope = float(centred @ y) / spread
-    residual = y - y.mean() - slope * centred
-    return slope, float(np.sqrt(residual @ residual / (len(x) - 2) / spread))
-
-
-def alias_warning(
-    load_hz: float, sample_hz: float, source: str = "trace"
-) -> str | None:
-    """Return a warning if a load is too fast for the sampling rate.
-
-    Parameters
-    ----------
-    load_hz : float
-        Frequency of the load.
-    sample_hz : float
-        Rate of independent samples; for a method that only uses frames, the frame rate,
-        whatever the rate of its images.
-    source : str
-        Name of the source in the message.
-
-    Returns
-    -------
-    str or None
-        One sentence if a cycle has fewer than 2.5 samples, else None.
-
-    Warns
-    -----
-    AnalysisWarning
-        With the same sentence.
-    """
-    if sample_hz >= _SAMPLES_PER_CYCLE * load_hz:
-        return None
-    apparent = abs(load_hz - sample_hz * round(load_hz / sample_hz))
-    message = (
-        f"{source}: a load of {load_hz:.4g} Hz aliases at {sample_hz:.4g} samples per "
-        f"second (it needs {_SAMPLES_PER_CYCLE * load_hz:.4g}); it appears at "
-        f"{apparent:.3g} Hz and its amplitude is meaningless")
-    warnings.warn(message, AnalysisWarning, stacklevel=2)
-    return message
-
-
-def phase_locked(t_us: ArrayLike, hz: float) -> bool:
-    """Return whether all samples have the same phase of a load, or opposite phases.
-
-    Amplitude and phase of the load are then not separable.
-
-    Parameters
-    ----------
-    t_us : array_like of int, shape (N,)
-        Times of the samples.
-    hz : float
-        Frequency of the load.
-
-    Returns
-    -------
-    bool
-        True also for fewer than three samples.
-    """
-    t = np.asarray(t_us, np.int64)
-    if len(t) < 3:
-        return True
-    angle = 2 * np.pi * hz * 1e-6 * (t - t[0])
-    turn = np.stack((np.cos(angle), np.sin(angle)))
-    # Both eigenvalues are 0.5 for uniformly distributed phases.
-    return bool(np.linalg.eigvalsh(np.cov(turn, bias=True))[0] < 0.05)

@@ -7,8 +7,8 @@ from pdavis_cv.export.figure import FIGURES, write_figure
 from pdavis_cv.export.files import write_json
 from pdavis_cv.export.hdf5 import Hdf5File
 from pdavis_cv.export.labelled import to_xarray
-from pdavis_cv.export.npz import NpzFile, write_npz
-from pdavis_cv.export.ometiff import OmeTiffFile
+from pdavis_cv.export.npz import NpzFile
+from pdavis_cv.export.ometiff import OmeTiffFile, write_maps
 from pdavis_cv.export.provenance import (
     light_unit,
     provenance,
@@ -45,7 +45,7 @@ __all__ = [
     "write_figure",
     "write_jaer_csv",
     "write_json",
-    "write_npz",
+    "write_maps",
     "write_png",
     "write_traces",
 ]

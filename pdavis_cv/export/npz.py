@@ -3,15 +3,13 @@ from __future__ import annotations
 
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from pdavis_cv._beside import write_beside
 from pdavis_cv.export.provenance import to_json
 from pdavis_cv.export.stacks import HEADER, StackFile
 
-__all__ = ["NpzFile", "write_npz"]
+__all__ = ["NpzFile"]
 
 
 class NpzFile(StackFile):
@@ -46,27 +44,3 @@ class NpzFile(StackFile):
             # Unmap before the file is removed; the array would keep it open.
             stack._mmap.close()  # type: ignore[attr-defined]
         return part
-
-
-def write_npz(
-    path: str | Path, arrays: dict[str, Any], facts: dict[str, Any]
-) -> None:
-    """Write named arrays and their provenance.
-
-    Parameters
-    ----------
-    path : path
-        File to write; appears when it is complete.
-    arrays : dict of str to array_like
-        Arrays by name.
-    facts : dict of str to object
-        Written as ``provenance``, JSON in a string of shape ().
-
-    Raises
-    ------
-    OSError
-        If it cannot be written.
-    """
-    with write_beside(path) as part, part.open("wb") as file:
-        named: dict[str, Any] = {name: np.asarray(a) for name, a in arrays.items()}
-        np.savez(file, **named, provenance=np.array(to_json(facts)))

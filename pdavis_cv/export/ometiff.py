@@ -2,15 +2,19 @@
 from __future__ import annotations
 
 import itertools
+import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pdavis_cv._beside import write_beside
+from pdavis_cv._types import Facts, Image
 from pdavis_cv.export.provenance import to_json
 from pdavis_cv.export.stacks import HEADER, StackFile
 
-__all__ = ["OmeTiffFile"]
+__all__ = ["OmeTiffFile", "write_maps"]
 
 _CLASSIC_END = 2**32 - 2**24
 _UM_PER_CM = 1e4
@@ -31,12 +35,7 @@ class OmeTiffFile(StackFile):
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        try:
-            import tifffile
-        except ImportError:
-            raise ImportError(
-                "OME-TIFF needs tifffile: pip install tifffile") from None
-        self._tifffile = tifffile
+        self._tifffile = _tifffile()
         super().__init__(*arguments, **options)
 
     def _finish(self) -> Path:
@@ -62,11 +61,7 @@ class OmeTiffFile(StackFile):
         return part
 
     def _resolution(self) -> dict[str, Any]:
-        """Return the TIFF tags of the pixel size, as plain ImageJ ignores OME-XML."""
-        if self.pixel_um is None:
-            return {}
-        return {"resolution": 2 * (_UM_PER_CM / self.pixel_um,),
-                "resolutionunit": "CENTIMETER"}
+        return _resolution(self.pixel_um)
 
     def _metadata(self) -> dict[str, Any]:
         first, channels = self.times_us[0], len(self.quantities)
@@ -80,11 +75,70 @@ class OmeTiffFile(StackFile):
             "CommentAnnotation": {
                 "Namespace": "pdavis_cv/provenance",
                 "Value": to_json({**self.facts, "first_t_us": first})}}
-        if self.pixel_um is not None:
-            for axis in "XY":
-                found[f"PhysicalSize{axis}"] = self.pixel_um
-                found[f"PhysicalSize{axis}Unit"] = "\N{MICRO SIGN}m"
+        found |= _physical_size(self.pixel_um)
         steps = {b - a for a, b in itertools.pairwise(self.times_us)}
         if steps and max(steps) - min(steps) <= 1:
             found |= {"TimeIncrement": min(steps) / 1e6, "TimeIncrementUnit": "s"}
         return found
+
+
+def _tifffile() -> Any:
+    try:
+        import tifffile
+    except ImportError:
+        raise ImportError("OME-TIFF needs tifffile: pip install tifffile") from None
+    return tifffile
+
+
+def _resolution(pixel_um: float | None) -> dict[str, Any]:
+    """Return the TIFF tags of the pixel size, as plain ImageJ ignores OME-XML."""
+    if pixel_um is None:
+        return {}
+    return {"resolution": 2 * (_UM_PER_CM / pixel_um,), "resolutionunit": "CENTIMETER"}
+
+
+def _physical_size(pixel_um: float | None) -> dict[str, Any]:
+    if pixel_um is None:
+        return {}
+    return {key: value for axis in "XY" for key, value in (
+        (f"PhysicalSize{axis}", pixel_um),
+        (f"PhysicalSize{axis}Unit", "\N{MICRO SIGN}m"))}
+
+
+def write_maps(
+    path: str | os.PathLike[str], maps: Mapping[str, tuple[Image, str]], *,
+    facts: Facts, pixel_um: float | None = None,
+) -> None:
+    """Write maps of the same scene as the channels of an OME-TIFF.
+
+    Parameters
+    ----------
+    path : path
+        File to write; appears when it is complete.
+    maps : mapping of str to (ndarray of shape (H, W), str)
+        Maps and their units by name; NaN = not known.  A channel's name has its unit
+        in brackets, as OME has no other place for it.
+    facts : mapping of str to object
+        Provenance, in an annotation.
+    pixel_um : float, optional
+        Size of a pixel in the object, micrometres.
+
+    Raises
+    ------
+    ImportError
+        If tifffile (extra ``[export]``) is not installed.
+    OSError
+        If it cannot be written.
+    """
+    named = [f"{name} ({unit})" if unit else name for name, (_, unit) in maps.items()]
+    stack = np.stack([values for values, _ in maps.values()]).astype("<f4")
+    with write_beside(path) as part, _tifffile().TiffWriter(
+            part, byteorder="<", ome=True) as file:
+        file.write(
+            stack, photometric="minisblack", compression="zlib",
+            compressionargs={"level": _LEVEL}, **_resolution(pixel_um), metadata={
+                "axes": "CYX", "Creator": "pdavis_cv",
+                "Name": Path(path).name.removesuffix(".ome.tif"),
+                "Channel": {"Name": named}, **_physical_size(pixel_um),
+                "CommentAnnotation": {"Namespace": "pdavis_cv/provenance",
+                                      "Value": to_json(facts)}})

@@ -1,9 +1,10 @@
 """Measure a loaded sample: traces of regions, the load's frequency, maps, a report.
 
-Both the frames alone and the fused images are measured.  The folder OUT receives
-traces.csv and frames.csv (one row per region and time; also in jAER's dialect),
-lockin.npz, cycle.csv, loop.csv if there is a load file, tendon.webm, and report.html,
-which contains all figures and needs no other files.
+Amplitude and phase of a periodic load are measured with the frames, traces also with
+the fused images.  The folder OUT receives results.csv (one row per region) and
+results.json, maps.ome.tif, traces.csv and frames.csv (one row per region and time; also
+in jAER's dialect), cycle.csv, loop.csv if the load's lag is known, tendon.webm, and
+report.html, which contains all figures and needs no other files.
 """
 from __future__ import annotations
 
@@ -37,9 +38,9 @@ from .._common import (
 )
 from .._images import facts_of, grid_times, held_at, of_frames, told_if_nothing
 from .._options import add_file, add_fuse_options, fuse_options, opened
-from .._values import number, seconds, within
-from . import force, report
-from .findings import Findings, MeanStokes
+from .._values import number, positive, seconds, within
+from . import force, periodic, report, results
+from .findings import Findings
 from .video import TendonSheet
 
 __all__ = ["main", "measure"]
@@ -57,7 +58,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     with opened(args) as recording:
         findings = measure(args, recording, load)
-    written = _write(args, findings)
+    written = results.write(args, findings)
+    if not args.no_video:
+        written.append(args.out / "tendon.webm")
     stage("report")
     written.append(args.out / "report.html")
     report.write_report(written[-1], findings)
@@ -76,13 +79,14 @@ def _parser() -> argparse.ArgumentParser:
                         help="folder to write to")
     parser.add_argument(
         "--region", action="append", default=[], type=_regions, metavar="ROI",
-        help="[name=]x,y,w,h or [name=]x1,y1;x2,y2;... or a Fiji .roi or .zip; "
-             "repeatable; default the whole image")
+        help="[name=]x,y,w,h or [name=]x1,y1;x2,y2;... or a Fiji .roi or .zip or a "
+             ".geojson; repeatable; default the whole image")
     parser.add_argument(
         "--estimate", choices=("stokes", "pixels"), default="stokes",
         help="DoLP and AoP of the mean Stokes vector, or their mean over pixels")
-    parser.add_argument("--load-hz", type=number, metavar="HZ",
-                        help="frequency of the load; default: the strongest in DoLP")
+    parser.add_argument("--load-hz", type=positive, metavar="HZ",
+                        help="frequency of the load, to 2 %%; default: the strongest "
+                             "in DoLP")
     parser.add_argument(
         "--smooth", type=int, choices=(1, 3, 5, 7), default=7, metavar="N",
         help="average the maps over N x N pixels: 1, 3, 5 or 7; default 7")
@@ -152,6 +156,8 @@ def measure(
     Findings
     """
     options = fuse_options(args, recording)
+    if args.demosaic is None:
+        options["demosaic"] = "guided"      # stripes are half as high
     fps = float(args.fps or 100.0)
     times = grid_times(recording, fps, options["start_us"], options["stop_us"])
     options |= {"fps": None, "start_us": None, "stop_us": None, "times_us": times}
@@ -169,21 +175,28 @@ def measure(
     frames = None
     if recording.info.frame_count != 0:
         frames = _traces(args, recording, held, regions, background)
-    tones = _tones(args, fused)
     facts = facts_of(recording, options, estimate=args.estimate, images_per_second=fps)
-    frame_hz = np.nan
-    if frames is not None and len(frames.t_us) > 1:
-        frame_hz = float(1e6 / np.median(np.diff(frames.t_us)))
-    found = Findings(
-        start_of(recording), facts, fused, frames, tones, _load_hz(args, tones),
-        frame_hz)
-    _evaluate(args, found, fps)
+    stage("amplitude and phase")
+    start = start_of(recording)
+    light = periodic.measure(
+        args, recording,
+        periodic.Frames(recording, options if frames is None else held, background),
+        regions, _found_hz(args, fused), start)
+    found = Findings(start, facts, fused, frames, light)
+    found.waves = results.waves_of(args, found)
+    _optics(args, found)
+    found.messages += [f"{roi.name}: no amplitude: {reason}" for roi, reason in zip(
+        regions, light.fit.reasons, strict=True) if reason]
+    if frames is None:
+        found.messages.append(
+            "no frames: amplitude and phase are those of the fused images, which "
+            "follow fast light incompletely")
     if load is not None:
-        said = len(found.messages)
         force.align(args, recording, found, load)
-        for message in found.messages[said:]:
-            warnings.warn(message, AnalysisWarning, stacklevel=2)
-    _maps_and_video(args, recording, options, held, found)
+    for message in found.messages:
+        warnings.warn(message, AnalysisWarning, stacklevel=2)
+    if not args.no_video:
+        _video(args, recording, options, held, found)
     return found
 
 
@@ -208,8 +221,8 @@ def _traces(
     return recorder.traces(recording) if recorder.count else None
 
 
-def _tones(args: argparse.Namespace, fused: analysis.Traces) -> list[analysis.Tone]:
-    """Return DoLP's periodic component in each region."""
+def _found_hz(args: argparse.Namespace, fused: analysis.Traces) -> float:
+    """Return the load's frequency: as stated, or the strongest in a region's DoLP."""
     for roi, row in zip(fused.rois, fused.table, strict=True):
         known = np.count_nonzero(np.isfinite(row["dolp"]))
         if known < 8:
@@ -217,14 +230,9 @@ def _tones(args: argparse.Namespace, fused: analysis.Traces) -> list[analysis.To
                 f"region {roi.name}: its DoLP is known in {known} images, and 8 are "
                 "needed; pdavis view shows which pixels are valid")
     if args.load_hz is not None:
-        return [analysis.fit_tone(fused.t_us, row["dolp"], args.load_hz)
-                for row in fused.table]
-    return [analysis.dominant_tone(fused.t_us, row["dolp"]) for row in fused.table]
-
-
-def _load_hz(args: argparse.Namespace, tones: Sequence[analysis.Tone]) -> float:
-    best = min(tones, key=lambda tone: tone.hz_se / tone.hz)
-    return float(args.load_hz or best.hz)
+        return float(args.load_hz)
+    tones = [analysis.dominant_tone(fused.t_us, row["dolp"]) for row in fused.table]
+    return min(tones, key=lambda tone: tone.hz_se / tone.hz).hz
 
 
 def _background(args: argparse.Namespace, options: dict[str, Any]) -> Any:
@@ -243,118 +251,40 @@ def _background(args: argparse.Namespace, options: dict[str, Any]) -> Any:
     return planes / n
 
 
-def _evaluate(args: argparse.Namespace, found: Findings, fps: float) -> None:
-    """Add the results that follow from the traces."""
-    fused, facts = found.fused, found.facts
-    load_hz, frame_hz = found.load_hz, found.frame_hz
-    t = fused.t_us
+def _optics(args: argparse.Namespace, found: Findings) -> None:
+    """Add retardance and birefringence of the traces."""
+    if args.thickness_um is None:
+        return
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", AnalysisWarning)
-        only_frames = facts.get("method") == "frames"
-        analysis.alias_warning(
-            load_hz, frame_hz if only_frames else fps, f"images ({facts['method']})")
-        if np.isfinite(frame_hz):
-            analysis.alias_warning(load_hz, frame_hz, "frames alone")
-        if args.thickness_um is not None:
-            delta, se = analysis.retardance(
-                fused.table["dolp"], fused.table["dolp_se"])
-            found.extra["retardance_deg"] = np.rad2deg(delta)
-            found.extra["retardance_se_deg"] = np.rad2deg(se if se is not None else 0)
-            found.extra["birefringence"] = analysis.birefringence(
-                delta, thickness_um=args.thickness_um,
-                wavelength_nm=args.wavelength_nm)
+        delta, se = analysis.retardance(
+            found.fused.table["dolp"], found.fused.table["dolp_se"])
+    found.extra["retardance_deg"] = np.rad2deg(delta)
+    found.extra["retardance_se_deg"] = np.rad2deg(se if se is not None else 0)
+    found.extra["birefringence"] = analysis.birefringence(
+        delta, thickness_um=args.thickness_um, wavelength_nm=args.wavelength_nm)
     found.messages += [str(warning.message) for warning in caught]
-    for tone, roi in zip(found.tones, fused.rois, strict=True):
-        if tone.false_alarm > 0.01:
-            found.messages.append(
-                f"{roi.name}: no periodic signal stands out of the noise "
-                f"(probability of chance {tone.false_alarm:.2g})")
-    for message in found.messages:
-        warnings.warn(message, AnalysisWarning, stacklevel=2)
-    for row in fused.table:
-        found.cycles.append(analysis.cycle_average(t, row["dolp"], load_hz))
-        found.drifts.append(analysis.cycle_drift(t, row["dolp"], load_hz))
 
 
-def _maps_and_video(
+def _video(
     args: argparse.Namespace, recording: Recording, options: dict[str, Any],
     held: dict[str, Any], found: Findings,
 ) -> None:
-    """Process the images a second time, with the known frequency."""
-    stage("maps" if args.no_video else "maps and video")
+    """Make the images a second time, and the video of them."""
+    stage("video")
     times = options["times_us"]
-    lock: analysis.LockIn | None = None
-    mean: MeanStokes | None = None
-    video: export.VideoFile | None = None
-    if args.no_video:
-        for image in progress(fuse(recording, **options), len(times), "maps"):
-            lock = lock or analysis.LockIn(image.shape, found.load_hz, int(times[0]))
-            lock.add(int(image.t_us or 0), image.dolp, image.valid)
-            mean = mean or MeanStokes(image.shape)
-            mean.add(image)
-    else:
-        sheet = TendonSheet(args, recording, found, {**options, "times_us": times})
-        step = float(np.median(np.diff(times))) if len(times) > 1 else 1e4
-        # Without frames, the fused images are used instead.
-        frames: Iterator[PolarFrame] = held_at(
-            fuse(recording, **(held if found.frames is not None else options)),
-            iter(times.tolist()))
-        with export.VideoFile(
-                args.out / "tendon.webm", 1e6 / step / args.slow, found.facts) as video:
-            for image, frame in progress(
-                    zip(fuse(recording, **options), frames, strict=True), len(times),
-                    "pictures"):
-                lock = lock or analysis.LockIn(
-                    image.shape, found.load_hz, int(times[0]))
-                lock.add(int(image.t_us or 0), image.dolp, image.valid)
-                mean = mean or MeanStokes(image.shape)
-                mean.add(image)
-                picture = sheet.picture(frame, image)
-                if video.count == len(times) // 2:
-                    found.still = picture
-                video.add(picture)
-    assert lock is not None
-    found.maps, found.mean = lock.maps().smoothed(args.smooth), mean
-
-
-def _write(args: argparse.Namespace, found: Findings) -> list[Path]:
-    """Write all files except the report; return their paths."""
-    out, origin, facts = args.out, found.origin_us, found.facts
-    written = [out / "traces.csv"]
-    export.write_traces(written[0], found.fused, origin_us=origin,
-                        facts={**facts, "hz": found.load_hz},
-                        extra=found.extra, decimal=args.decimal)
-    written += export.write_jaer_csv(
-        out / "traces-jaer.csv", found.fused, origin_us=origin, facts={})
-    if found.frames is not None:
-        written.append(out / "frames.csv")
-        export.write_traces(written[-1], found.frames, origin_us=origin,
-                            facts={**facts, "method": "frames"}, decimal=args.decimal)
-    written.append(out / "cycle.csv")
-    export.write_csv(
-        written[-1], ("roi", "phase_cycles", "dolp", "dolp_sd", "dolp_se", "samples"),
-        ((roi.name, *row) for roi, cycle in zip(
-            found.fused.rois, found.cycles, strict=True)
-         for row in zip(cycle.phase, cycle.mean, cycle.sd, cycle.se,
-                        cycle.count.tolist(), strict=True)))
-    if found.loops:
-        written.append(out / "loop.csv")
-        name = "force_n" if "force_n" in found.extra else "displacement_mm"
-        export.write_csv(
-            written[-1], ("roi", name, "dolp"),
-            ((roi.name, x, y) for roi, loop in zip(
-                found.fused.rois, found.loops, strict=True)
-             for x, y in zip(loop.x, loop.y, strict=True)))
-    if found.maps is not None and found.mean is not None:
-        written.append(out / "lockin.npz")
-        maps = found.maps
-        mean_aop, mean_dolp, _ = found.mean.maps()
-        export.write_npz(written[-1], {
-            "mean_aop_rad": mean_aop, "mean_dolp": mean_dolp,
-            "amplitude": maps.amplitude, "amplitude_se": maps.amplitude_se,
-            "phase_rad": maps.phase, "mean": maps.mean, "count": maps.count}, {
-                **facts, "hz": maps.hz, "reference_us": maps.reference_us,
-                "smoothed_over": args.smooth})
-    if not args.no_video:
-        written.append(out / "tendon.webm")
-    return written
+    sheet = TendonSheet(args, recording, found, {**options, "times_us": times})
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 1e4
+    # Without frames, the fused images are used instead.
+    frames: Iterator[PolarFrame] = held_at(
+        fuse(recording, **(held if found.frames is not None else options)),
+        iter(times.tolist()))
+    with export.VideoFile(
+            args.out / "tendon.webm", 1e6 / step / args.slow, found.facts) as video:
+        for image, frame in progress(
+                zip(fuse(recording, **options), frames, strict=True), len(times),
+                "pictures"):
+            picture = sheet.picture(frame, image)
+            if video.count == len(times) // 2:
+                found.still = picture
+            video.add(picture)

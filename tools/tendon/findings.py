@@ -7,28 +7,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import PolarFrame, analysis, aop, dolp, render
+from pdavis_cv import analysis, render
 
-__all__ = ["Findings", "MeanStokes"]
+from .periodic import PeriodicLight
+
+__all__ = ["Findings", "Loop"]
 
 
-class MeanStokes:
-    """Mean Stokes planes of images, over valid pixels."""
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """The loop of a region's DoLP over the load, and what it encloses.
 
-    def __init__(self, shape: tuple[int, int]) -> None:
-        self._sum, self._count = np.zeros((3, *shape)), np.zeros(shape, np.int64)
+    Parameters
+    ----------
+    x, y : ndarray of float64, shape (M,)
+        Load and DoLP over a cycle.
+    lag_deg, lag_se_deg : float
+        By how much DoLP is behind the load.
+    area, area_se : float
+        Area per cycle, positive for a clockwise loop.
+    """
 
-    def add(self, image: PolarFrame) -> None:
-        """Add an image."""
-        for total, plane in zip(
-                self._sum, (image.s0, image.s1, image.s2), strict=True):
-            np.add(total, plane, out=total, where=image.valid)
-        self._count += image.valid
-
-    def maps(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:
-        """Return AoP (radians) and DoLP of the means, and where they are valid."""
-        s0, s1, s2 = self._sum.astype(np.float32)
-        return aop(s1, s2), dolp(s0, s1, s2), self._count > 0
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    lag_deg: float
+    lag_se_deg: float
+    area: float
+    area_se: float
 
 
 @dataclass(eq=False)
@@ -38,34 +43,35 @@ class Findings:
     Parameters
     ----------
     origin_us : int
-        Time of 0 s.
+        Time of 0 s, and of phase 0.
     fused, frames : Traces
         Traces of the fused images, and of the frames alone (None without frames).
-    tones : list of Tone
-        DoLP's dominant periodic component, one per region.
-    load_hz : float
-        Frequency of the load.
-    frame_hz : float
-        Frames per second of the recording.
+    light : PeriodicLight
+        Amplitude and phase by the frames.
+    waves : list of dict of str to Wave
+        Of each region with an amplitude: ``dolp``, ``aop``, ``s0``, and with optics
+        ``retardance``, ``birefringence``; None for others.
+    loops : list of Loop or None
+        One per region; empty if there is none.
     """
 
     origin_us: int
     facts: dict[str, Any]
     fused: analysis.Traces
     frames: analysis.Traces | None
-    tones: list[analysis.Tone]
-    load_hz: float
-    frame_hz: float
-    cycles: list[analysis.Cycle] = field(default_factory=list)
-    drifts: list[analysis.Drift] = field(default_factory=list)
+    light: PeriodicLight
+    waves: list[dict[str, analysis.Wave] | None] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
-    maps: analysis.LockInMaps | None = None
-    mean: MeanStokes | None = None
     clock: analysis.Clock | None = None
     load: analysis.LoadTrace | None = None
-    loops: list[analysis.Loop] = field(default_factory=list)
+    loops: list[Loop | None] = field(default_factory=list)
     still: render.Picture | None = None
     extra: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+    @property
+    def load_hz(self) -> float:
+        """Frequency of the load."""
+        return self.light.fit.law.hz
 
     def seconds(self, t_us: NDArray[np.int64]) -> NDArray[np.float64]:
         """Seconds since the recording's start."""

@@ -12,6 +12,7 @@ from pdavis_cv import Recording, analysis
 
 from .._common import UsageError
 from .findings import Findings
+from .results import loop_of
 
 __all__ = ["align"]
 
@@ -55,12 +56,7 @@ def align(
             "load as an offset of the clocks: lag and hysteresis cannot be told; "
             "state --offset or record a trigger")
         return
-    primary = found.extra["force_n" if load.force_n is not None else "displacement_mm"]
-    try:
-        found.loops = [analysis.hysteresis(t, primary, row["dolp"], found.load_hz)
-                       for row in found.fused.table]
-    except ValueError as error:
-        found.messages.append(f"no loop: {error}")
+    found.loops = [loop_of(found, i) for i in range(len(found.waves))]
 
 
 def _clock(
@@ -94,8 +90,10 @@ def _correlated(
     It does, unless frames are locked to the load's phase.  Aliasing is no problem, as
     the load is known between frames.
     """
-    # Any region would do; the one with the most precise frequency is best.
-    best = int(np.argmin([tone.hz_se / tone.hz for tone in found.tones]))
+    # Any region would do; the one that swings most, compared with its error, is best.
+    best = int(np.argmax([0.0 if waves is None else (
+        waves["dolp"].amplitude[0] / waves["dolp"].amplitude_se)
+        for waves in found.waves]))
     within = _WITHIN_S if args.within is None else args.within
 
     def aligned(traces: analysis.Traces) -> analysis.Clock:
@@ -106,8 +104,7 @@ def _correlated(
             within_s=None if args.offset is None else within
         ).counted_from(found.origin_us)
 
-    if found.frames is not None and not analysis.phase_locked(
-            found.frames.t_us, found.load_hz):
+    if found.frames is not None and found.light.fit.harmonics:
         with contextlib.suppress(ValueError):   # too few samples overlap
             return aligned(found.frames)
     found.messages.append(

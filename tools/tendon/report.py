@@ -5,7 +5,6 @@ import base64
 import html
 import io
 import json
-import math
 import os
 from collections.abc import Iterable, Sequence
 from importlib.resources import files
@@ -16,13 +15,13 @@ import numpy as np
 from pdavis_cv import analysis, render
 from pdavis_cv.export import write_beside
 
-from .findings import Findings, MeanStokes
+from .findings import Findings
+from .results import error_of, rounded, rows_of
 
 __all__ = ["matplotlib", "summary", "write_report"]
 
 _TOGETHER_DEG = 60.0        # largest deviation of phases that get a map of their range
 _LEAST_REACH_DEG = 5.0      # smallest range of that map, so that it does not show noise
-_LEAST_WIDTH = 360          # pixels of a map in the report
 _COLOURS = ("tab:orange", "tab:blue", "tab:green", "tab:pink")
 _STYLE = """
 body{font:15px/1.45 system-ui,sans-serif;max-width:62em;margin:2em auto;padding:0 1em;
@@ -67,23 +66,21 @@ def write_report(path: str | os.PathLike[str], found: Findings) -> None:
     ]
     if found.still is not None:
         parts += ["<h2>One moment</h2>", _picture(found.still)]
-    if found.mean is not None:
-        parts += ["<h2>Mean maps</h2>", "<p>Of the mean Stokes vector of all images."
-                  "</p>", _picture(_mean_maps(found.mean))]
+    parts += ["<h2>Mean maps</h2>", "<p>Of the mean Stokes vector of all frames; "
+              "coordinates are sensor pixels.</p>", _figure(_mean_maps, found, 3.4)]
     parts += [
         "<h2>Traces</h2>", "<p>Lines: fused images, with one standard error. Dots: "
         "frames alone. Point at a curve to read its values.</p>",
         _hover(found),
-        "<h2>Average cycle</h2>", "<p>Mean, its standard error (dark) and the spread "
-        "over cycles (light).</p>", _figure(_cycle, found, 3.2),
+        "<h2>Average cycle</h2>", "<p>Line: DoLP of the light. Dots: frames, which "
+        "show its mean over their exposure.</p>", _figure(_cycle, found, 3.2),
         "<h2>Drift</h2>", _drift_table(found)]
-    if found.loops:
+    if any(found.loops):
         parts += ["<h2>Loop</h2>", _figure(_loop, found, 3.6), _loop_table(found)]
-    if found.maps is not None:
-        parts += ["<h2>Lock-in maps of DoLP</h2>",
-                  f"<p>At {found.maps.hz:.4f} Hz; phase where the amplitude exceeds "
-                  "three standard errors: in "
-                  f"{np.mean(found.maps.significant):.0%} of the pixels.</p>",
+    if found.light.maps is not None:
+        parts += ["<h2>Maps of the load's effect</h2>",
+                  f"<p>Of DoLP at {found.load_hz:.4f} Hz; phase where the amplitude "
+                  "exceeds three standard errors. Coordinates are sensor pixels.</p>",
                   _figure(_maps, found, 3.4)]
     facts = json.dumps(found.facts, indent=1, default=str)
     parts += ["<h2>Origin</h2>", f"<pre>{html.escape(facts)}</pre></html>"]
@@ -93,19 +90,24 @@ def write_report(path: str | os.PathLike[str], found: Findings) -> None:
 
 def summary(found: Findings) -> tuple[list[str], dict[str, Any]]:
     """Return the results as lines of text and as facts by name."""
-    lines, regions = [], []
-    for roi, tone in zip(found.fused.rois, found.tones, strict=True):
-        regions.append({
-            "name": roi.name, "hz": tone.hz, "hz_se": tone.hz_se, "dolp": tone.offset,
-            "amplitude": tone.amplitude[0], "amplitude_se": tone.amplitude_se[0],
-            "distortion": tone.distortion, "false_alarm": tone.false_alarm})
+    lines, rows = [], rows_of(found)
+    for row in rows:
+        if row["note"]:
+            lines.append(f"{row['region']}: DoLP {row['dolp']:.4f}, {row['note']}")
+            continue
         lines.append(
-            f"{roi.name}: {tone.hz:.4f} +- {tone.hz_se:.4f} Hz, "
-            f"DoLP {tone.offset:.4f}, amplitude {tone.amplitude[0]:.4f} "
-            f"+- {tone.amplitude_se[0]:.4f}, "
-            f"distortion {100 * tone.distortion:.1f} %")
+            f"{row['region']}: {row['frequency_hz']:.4f} +- "
+            f"{row['frequency_se_hz']:.2g} Hz, "
+            f"DoLP {row['dolp']:.4f} +- {row['dolp_se']:.2g}, amplitude "
+            f"{row['dolp_amplitude']:.4f} +- {row['dolp_amplitude_se']:.2g}, phase "
+            f"{row['phase_deg']:.1f} +- {row['phase_se_deg']:.2g} deg at the start")
+        if "lag_behind_load_deg" in row:
+            lines[-1] += (
+                f", {row['lag_behind_load_deg']:.1f} +- "
+                f"{row['lag_behind_load_se_deg']:.2g} deg behind the load, loop area "
+                f"{row['loop_area']:.3g} +- {row['loop_area_se']:.2g}")
     assumed = found.facts["assumed"]
-    facts: dict[str, Any] = {"load_hz": found.load_hz, "regions": regions,
+    facts: dict[str, Any] = {"load_hz": found.load_hz, "regions": rows,
                              "messages": found.messages, "assumed": assumed}
     lines += assumed
     if found.clock is not None:
@@ -134,48 +136,54 @@ def _table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 
 def _load_table(found: Findings) -> str:
-    header = ["region", "frequency / Hz", "mean DoLP", "amplitude", "distortion",
-              "chance", "mean AoP / deg"]
-    optics = [(title, found.extra[name], digits) for name, title, digits in (
-        ("retardance_deg", "mean retardance / deg", ".2f"),
-        ("birefringence", "mean birefringence", ".3e")) if name in found.extra]
-    header += [title for title, _, _ in optics]
-    rows = []
-    for i, (roi, tone, table) in enumerate(zip(
-            found.fused.rois, found.tones, found.fused.table, strict=True)):
-        s1, s2 = np.nanmean(table["s1"]), np.nanmean(table["s2"])
-        aop = np.rad2deg(np.mod(np.arctan2(s2, s1) / 2, np.pi))
-        rows.append((
-            roi.name, f"{tone.hz:.4f} \u00b1 {tone.hz_se:.4f}", f"{tone.offset:.4f}",
-            f"{tone.amplitude[0]:.4f} \u00b1 {tone.amplitude_se[0]:.4f}",
-            f"{100 * tone.distortion:.1f} %", f"{tone.false_alarm:.1g}", f"{aop:.1f}",
-            *(format(float(np.nanmean(values[i])), digits)
-              for _, values, digits in optics)))
-    text = _table(header, rows)
+    shown = (("frequency_hz", "frequency / Hz"), ("dolp", "mean DoLP"),
+             ("dolp_amplitude", "amplitude"), ("phase_deg", "phase at start / deg"),
+             ("lag_behind_load_deg", "behind the load / deg"),
+             ("aop_deg", "mean AoP / deg"),
+             ("retardance_deg", "retardance / deg"),
+             ("birefringence", "birefringence"), ("note", ""))
+    rows = [rounded(row) for row in rows_of(found)]
+    shown = tuple((name, title) for name, title in shown if any(
+        row.get(name, "") != "" for row in rows))
+    text = _table(["region", *(title for _, title in shown)], (
+        (row["region"], *(_with_error(row, name) for name, _ in shown))
+        for row in rows))
     if found.clock is not None:
         clock = found.clock
         text += (
             f"<p>Load file, aligned by {clock.how}: its zero lies at "
-            f"{clock.offset_s:.4f} s of the recording (\u00b1 "
-            f"{1e3 * clock.offset_se_s:.2g} ms), its clock is {clock.skew_ppm:.0f} "
-            f"\u00b1 {clock.skew_se_ppm:.0f} ppm slow.</p>")
+            f"{clock.offset_s:.4f} s of the recording"
+            + ("" if clock.how == "offset" else
+               f" (\u00b1 {1e3 * clock.offset_se_s:.2g} ms), its clock is "
+               f"{clock.skew_ppm:.0f} \u00b1 {clock.skew_se_ppm:.0f} ppm slow")
+            + ".</p>")
     return text
 
 
+def _with_error(row: dict[str, Any], name: str) -> str:
+    value = row.get(name, "")
+    error = row.get(error_of(name))
+    return str(value) if error is None else f"{value} \u00b1 {error}"
+
+
 def _drift_table(found: Findings) -> str:
-    return _table(
-        ("region", "cycles", "mean per cycle", "amplitude per cycle"),
-        ((roi.name, len(drift.cycle),
-          f"{drift.mean_per_cycle:+.2e} \u00b1 {drift.mean_per_cycle_se:.1e}",
-          f"{drift.amplitude_per_cycle:+.2e} \u00b1 {drift.amplitude_per_cycle_se:.1e}")
-         for roi, drift in zip(found.fused.rois, found.drifts, strict=True)))
+    """Return the changes of S0, S1 / S0 and S2 / S0 over the recording."""
+    rows = []
+    for roi, fit in zip(found.fused.rois, found.light.fit.regions, strict=False):
+        s0 = fit.coefficients[0, 0]
+        rows.append((roi.name, *(
+            f"{change / s0:+.2e} \u00b1 {error / s0:.1e}"
+            for change, error in zip(fit.slope, fit.slope_se, strict=True))))
+    return _table(("region", "S0", "S1", "S2"), rows) + (
+        "<p>Change from the first to the last frame, as a part of the mean S0.</p>")
 
 
 def _loop_table(found: Findings) -> str:
     return _table(
-        ("region", "cycles", "area per cycle"),
-        ((roi.name, loop.cycles, f"{loop.area:.4g} \u00b1 {loop.area_se:.2g}")
-         for roi, loop in zip(found.fused.rois, found.loops, strict=True)))
+        ("region", "area per cycle"),
+        ((roi.name, f"{loop.area:.4g} \u00b1 {loop.area_se:.2g}")
+         for roi, loop in zip(found.fused.rois, found.loops, strict=True)
+         if loop is not None))
 
 
 def _picture(picture: render.Picture) -> str:
@@ -277,16 +285,19 @@ def _degrees(aop: Any) -> Any:
 
 
 def _cycle(figure: Any, found: Findings) -> None:
-    axes = figure.subplots()
-    for i, (roi, cycle) in enumerate(zip(found.fused.rois, found.cycles, strict=True)):
+    axes, light = figure.subplots(), found.light
+    place = np.mod(light.fit.law.cycles(light.t_us), 1)
+    for i, (roi, stokes) in enumerate(zip(
+            found.fused.rois, light.stokes, strict=True)):
         colour = _COLOURS[i % len(_COLOURS)]
-        for width, alpha in ((cycle.sd, 0.15), (cycle.se, 0.4)):
-            axes.fill_between(cycle.phase, cycle.mean - width, cycle.mean + width,
-                              color=colour, alpha=alpha, lw=0)
-        axes.plot(cycle.phase, cycle.mean, color=colour, label=roi.name)
+        axes.plot(place, analysis.of_dolp(stokes.T), ".", ms=3, alpha=0.4, color=colour)
+        if found.waves[i] is not None:
+            curve = analysis.of_dolp(light.fit.regions[i].cycle(200))
+            axes.plot(np.arange(200) / 200, curve, color=colour, label=roi.name)
     axes.set_xlabel(f"phase / cycles of {found.load_hz:.4f} Hz")
     axes.set_ylabel("DoLP")
-    axes.legend(fontsize=8)
+    if any(found.waves):
+        axes.legend(fontsize=8)
 
 
 def _loop(figure: Any, found: Findings) -> None:
@@ -300,39 +311,44 @@ def _loop(figure: Any, found: Findings) -> None:
 
 
 def _maps(figure: Any, found: Findings) -> None:
-    maps = found.maps
-    assert maps is not None
+    assert found.light.maps is not None
+    wave = found.light.maps.wave(analysis.of_dolp)
     left, right = figure.subplots(1, 2)
-    top = float(np.nanquantile(maps.amplitude, 0.99)) or 1.0
-    shown = left.imshow(maps.amplitude, vmin=0, vmax=top, cmap="viridis")
+    top = float(np.nanquantile(wave.amplitude[0], 0.99)) or 1.0
+    shown = left.imshow(wave.amplitude[0], vmin=0, vmax=top, cmap="viridis",
+                        extent=_extent(found))
     figure.colorbar(shown, ax=left, label="amplitude of DoLP", shrink=0.8)
-    phase, low, high, colours = _phase(maps)
-    if maps.significant.any():
-        shown = right.imshow(phase, vmin=low, vmax=high, cmap=colours)
+    significant = wave.amplitude[0] > 3 * wave.amplitude_se
+    phase, low, high, colours = _phase(wave.phase[0], significant)
+    if significant.any():
+        shown = right.imshow(phase, vmin=low, vmax=high, cmap=colours,
+                             extent=_extent(found))
         figure.colorbar(shown, ax=right, label="phase / deg", shrink=0.8)
     else:
         right.set_box_aspect(phase.shape[0] / phase.shape[1])
         right.text(0.5, 0.5, "no pixel's amplitude exceeds\nthree standard errors",
                    ha="center", va="center", transform=right.transAxes)
-    for axes in (left, right):
-        axes.set_xticks([])
-        axes.set_yticks([])
 
 
-def _phase(maps: analysis.LockInMaps) -> tuple[Any, float, float, str]:
+def _extent(found: Findings) -> tuple[float, float, float, float]:
+    """Return left, right, bottom and top of the maps in sensor pixels."""
+    x, y, width, height = found.facts["roi"]
+    return x, x + width, y + height, y
+
+
+def _phase(phases: Any, significant: Any) -> tuple[Any, float, float, str]:
     """Return phases in degrees, the ends of their colours, and a colour map.
 
     Phases in a narrow range get a uniform map of that range, which may include 180;
     others a cyclic map of the whole turn.
     """
-    significant = maps.significant
-    middle = np.angle(np.mean(np.exp(1j * maps.phase[significant]))
+    middle = np.angle(np.mean(np.exp(1j * phases[significant]))
                       ) if significant.any() else 0.0
-    off = np.rad2deg(np.angle(np.exp(1j * (maps.phase - middle))))
+    off = np.rad2deg(np.angle(np.exp(1j * (phases - middle))))
     reach = float(np.quantile(np.abs(off[significant]), 0.99)
                   ) if significant.any() else 180.0
     if reach > _TOGETHER_DEG:
-        return (np.where(significant, np.rad2deg(maps.phase), np.nan), -180.0, 180.0,
+        return (np.where(significant, np.rad2deg(phases), np.nan), -180.0, 180.0,
                 "twilight")
     reach = max(reach, _LEAST_REACH_DEG)
     centre = float(np.rad2deg(middle))
@@ -340,18 +356,16 @@ def _phase(maps: analysis.LockInMaps) -> tuple[Any, float, float, str]:
             centre + reach, "viridis")
 
 
-def _mean_maps(mean: MeanStokes) -> render.Picture:
+def _mean_maps(figure: Any, found: Findings) -> None:
     """Draw the maps of AoP and DoLP of the mean Stokes vector."""
-    angle, degree, valid = mean.maps()
-    top = max(math.ceil(20 * float(np.quantile(degree[valid], 0.99))) / 20, 0.05
-              ) if valid.any() else 1.0
-    scale = max(1, -(-_LEAST_WIDTH // angle.shape[1]))
-    colours = render.aop_bgr(angle, valid)
-    render.fade(colours, degree, valid, top=top)
-    style = render.DARK.sized(scale * angle.shape[1])
-    return render.tile([
-        render.panel(colours, "mean AoP", legend="faded", end=f"{top:g}", scale=scale,
-                     style=style),
-        render.panel(render.dolp_bgr(degree, valid, top=top), "mean DoLP",
-                     legend="dolp", end=f"{top:g}", scale=scale, style=style)],
-        columns=2, style=style)
+    left, right = figure.subplots(1, 2)
+    mean = found.light.raw_mean
+    degree = analysis.of_dolp(mean)
+    angle = np.rad2deg(analysis.of_aop(mean[:, None])[0])
+    top = float(np.nanquantile(degree, 0.99))
+    for axes, values, label, high, colours in (
+            (left, angle, "mean AoP / deg", 180.0, "twilight"),
+            (right, degree, "mean DoLP", top or 1.0, "viridis")):
+        shown = axes.imshow(values, vmin=0, vmax=high, cmap=colours,
+                            extent=_extent(found))
+        figure.colorbar(shown, ax=axes, label=label, shrink=0.8)

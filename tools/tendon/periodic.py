@@ -1,0 +1,190 @@
+"""Amplitude and phase of a load, from the frames alone."""
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import PolarFrame, Recording, analysis, fuse
+from pdavis_cv.fusion.camera import mismatch_of
+from pdavis_cv.mosaic import HALF_SIZE
+from pdavis_cv.sensor import Sensor
+
+from .._options import calibration_of
+
+__all__ = ["Frames", "PeriodicLight", "measure"]
+
+FloatArray = NDArray[np.float64]
+
+_RATIO_SIGMA = 16.0
+"""Spread of the extinction ratio from camera to camera, if none is stated: published
+ones are 25 to 44."""
+_COMMON_OFFSET = 1 / 2
+"""Offset that all pixels share, relative to its spread: without dark frames."""
+
+
+class Frames:
+    """Frames of a recording as images at the middles of their exposures.
+
+    Parameters
+    ----------
+    recording : Recording
+    options : dict
+        Arguments of fuse().  Without frames they are those of fused images, which
+        count as frames of no exposure.
+    background : ndarray or None
+        S0, S1, S2 without the sample.
+    """
+
+    def __init__(
+        self, recording: Recording, options: dict[str, Any], background: Any
+    ) -> None:
+        self._recording, self.options = recording, options
+        self._background = background
+        frames = [] if options["method"] != "frames" else [
+            frame for packet in recording.packets() for frame in packet.frames]
+        self._mid = np.array([frame.mid_us for frame in frames], np.int64)
+        self._exposure = np.array([
+            np.mean(np.subtract(frame.exposure_end_us, frame.exposure_start_us))
+            for frame in frames])
+        self.column_s = (frames[0].column_mid_us - frames[0].mid_us) / 1e6 if (
+            frames) else np.zeros(recording.info.sensor_size[1])
+
+    def exposure_us(self, t_us: NDArray[np.int64]) -> FloatArray:
+        """Return the exposures at times."""
+        if not self._mid.size:
+            return np.zeros(len(t_us))
+        return np.interp(t_us, self._mid, self._exposure)
+
+    def images(self) -> Iterator[tuple[PolarFrame, FloatArray]]:
+        """Yield images with a valid pixel, and their S0, S1, S2."""
+        for image in fuse(self._recording, **self.options):
+            if image.valid.any():
+                stokes = np.stack((image.s0, image.s1, image.s2)).astype(np.float64)
+                if self._background is not None:
+                    stokes = analysis.subtract_background(stokes, self._background)
+                yield image, stokes
+
+
+@dataclass(frozen=True, eq=False)
+class PeriodicLight:
+    """What frames say of the regions, and of each pixel.
+
+    Parameters
+    ----------
+    fit : Periodic
+        That of the regions.
+    t_us : ndarray of int64, shape (T,)
+        Times of the frames.
+    stokes : ndarray of float64, shape (R, T, 3)
+        Mean S0, S1, S2 of the regions.
+    pixels : ndarray of int64, shape (R,)
+        Pixels of the regions that are valid in all frames.
+    errors : list of ndarray
+        Errors of camera and polarizers, for each region.
+    maps : Harmonics or None
+        Of each pixel, smoothed; None if no harmonic is resolved.
+    raw_mean : ndarray of float64, shape (3, H, W)
+        Mean S0, S1, S2, not smoothed.
+    """
+
+    fit: analysis.Periodic
+    t_us: NDArray[np.int64]
+    stokes: FloatArray
+    pixels: NDArray[np.int64]
+    errors: list[FloatArray]
+    maps: analysis.Harmonics | None
+    raw_mean: FloatArray
+
+
+def measure(
+    args: argparse.Namespace, recording: Recording, frames: Frames,
+    regions: list[analysis.Roi], hz: float, reference_us: int,
+) -> PeriodicLight:
+    """Fit the regions, then each pixel, in two passes over the frames.
+
+    Parameters
+    ----------
+    hz : float
+        Frequency of the load.
+    reference_us : int
+        Time of phase 0.
+    """
+    always: NDArray[np.bool_] | None = None
+    for image, _ in frames.images():
+        always = image.valid.copy() if always is None else always & image.valid
+        last = image
+    assert always is not None
+    masks = _masks(regions, last)
+    inside = [mask & always if (mask & always).any() else mask for mask in masks]
+    made = [(int(image.t_us or 0), [stokes[:, mask].mean(1) for mask in inside])
+            for image, stokes in frames.images()]
+    t = np.array([when for when, _ in made], np.int64)
+    stokes = np.array([values for _, values in made]).transpose(1, 0, 2)
+    exposure = frames.exposure_us(t)
+    fit = analysis.fit_periodic(t, stokes, exposure, hz, reference_us)
+    running = analysis.HarmonicFit(
+        always.shape, fit.law, harmonics=fit.harmonics, degree=fit.degree,
+        span_us=(int(t[0]), int(t[-1])))
+    for (image, planes), open_us in zip(frames.images(), exposure, strict=True):
+        running.add(int(image.t_us or 0), planes, float(open_us), image.valid)
+    whole = running.result()
+    x0, scale = _place(last)
+    delay = frames.column_s[x0:x0 + always.shape[1] * scale:scale]
+    if np.any(delay):
+        whole = whole.delayed(delay)
+    pixels = np.array([int(mask.sum()) for mask in inside])
+    fit = _on_time(fit, inside, delay)
+    return PeriodicLight(
+        fit, t, stokes, pixels,
+        [_errors(args, recording, one.mean(0)[0], int(count), scale, exposure)
+         for one, count in zip(stokes, pixels, strict=True)],
+        whole.smoothed(args.smooth) if fit.harmonics else None,
+        whole.coefficients[:, 0])
+
+
+def _place(image: PolarFrame) -> tuple[int, int]:
+    """Return the sensor's column at which an image begins, and pixels per pixel."""
+    scale = 2 if image.provenance.get("demosaic") in HALF_SIZE else 1
+    return int(image.provenance.get("roi", (0, 0))[0]), scale
+
+
+def _masks(
+    regions: list[analysis.Roi], image: PolarFrame
+) -> list[NDArray[np.bool_]]:
+    x, y = (int(v) for v in image.provenance.get("roi", (0, 0))[:2])
+    return [roi.mask((image.shape[0], image.shape[1]), origin=(x, y),
+                     scale=_place(image)[1]) for roi in regions]
+
+
+def _on_time(
+    fit: analysis.Periodic, masks: list[NDArray[np.bool_]], delay: FloatArray
+) -> analysis.Periodic:
+    """Return the fit of regions with the mean delay of their columns."""
+    return replace(fit, regions=tuple(
+        one.delayed(np.average(delay, weights=mask.sum(0)))
+        for one, mask in zip(fit.regions, masks, strict=False)))
+
+
+def _errors(
+    args: argparse.Namespace, recording: Recording, s0: float, pixels: int,
+    scale: int, exposure_us: FloatArray,
+) -> FloatArray:
+    """Return the errors of camera and polarizers in the mean of a region's pixels."""
+    calibration = calibration_of(args.calibration) if args.calibration else None
+    sensor = recording.info.sensor or Sensor.PDAVIS
+    gain, angle, contrast = mismatch_of(sensor)
+    ratio = sensor.extinction_ratio or 0.0
+    common = 2 * _RATIO_SIGMA / (ratio + 1) ** 2 if (
+        ratio and args.extinction_ratio is None) else 0.0
+    if calibration is not None and calibration.analyser is not None:
+        gain = angle = contrast = common = 0.0
+    offset = 0.0 if calibration is not None and calibration.dark is not None else (
+        sensor.offset_dn / max(float(exposure_us.mean()) / 1e3, 1e-3) / max(s0, 1e-9))
+    return analysis.specimen_errors(
+        gain, angle, contrast, offset, samples=max(pixels * scale ** 2 / 4, 1),
+        common_contrast=common, common_offset=offset * _COMMON_OFFSET)
