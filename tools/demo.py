@@ -182,7 +182,7 @@ def _real(folder: Path) -> int:
     """Show the intensity of the real recording; it has no polarizers."""
     path = example_recording()
     return export_tool.main([
-        str(path), "--layout", "pdavis", "--quantities", "s0", "--fps", "200",
+        str(path), "--layout", "pdavis", "--quantities", "s0", "--fps", "100",
         "--slow", "10", "--title", "a real DAVIS346",
         "-o", f"{folder / path.stem}.webm"])
 
