@@ -214,6 +214,18 @@ def test_an_option_without_its_name_is_refused(things):
             opens(TENDON, "pdavis")
 
 
+def test_what_is_labelled_are_images(things):
+    pytest.importorskip("xarray")
+    for what in things["recording"], TENDON, [1]:
+        with pytest.raises(TypeError, match=r"images must be PolarFrames, as fuse\("):
+            pdavis_cv.export.to_xarray(what)
+
+
+def test_a_calibration_is_loaded_first():
+    with pytest.raises(TypeError, match=r"as Calibration\.load\(path\) gives"):
+        pdavis_cv.FusionOptions(calibration="camera.npz")
+
+
 def test_only_pictures_are_written_as_png(image, tmp_path):
     for what in image, image.dolp, [[1]]:
         with pytest.raises(TypeError, match=r"picture must be uint8 .*dolp_bgr"):

@@ -42,6 +42,8 @@ def to_xarray(
     ------
     ImportError
         If xarray is not installed.
+    TypeError
+        If something else is among the images.
     ValueError
         If a quantity is unknown or the method does not provide it, if there is no
         image, or if shapes differ.
@@ -60,7 +62,12 @@ def to_xarray(
     except ImportError:
         raise ImportError("to_xarray needs xarray: pip install xarray") from None
     wanted = chosen(quantities)
-    kept = [images] if isinstance(images, PolarFrame) else list(images)
+    given = [images] if isinstance(images, PolarFrame) else images
+    kept = list(given) if isinstance(given, Iterable) else [given]
+    for one in kept:
+        if not isinstance(one, PolarFrame):
+            raise TypeError("images must be PolarFrames, as fuse(recording, fps=100) "
+                            f"makes them, got {type(one).__name__}")
     if not kept:
         raise ValueError("images must hold at least one, got none")
     shapes = sorted({image.shape for image in kept})

@@ -172,8 +172,9 @@ class FusionOptions(Options):
         if self.layout is not None:
             put("layout", Layout.of(self.layout))
         if not isinstance(self.calibration, Calibration | None):
-            raise TypeError("calibration must be a Calibration, got "
-                            f"{type(self.calibration).__name__}")
+            raise TypeError(
+                "calibration must be a Calibration, as Calibration.load(path) gives, "
+                f"got {type(self.calibration).__name__}")
         _check_extinction_ratio(self.extinction_ratio)
         if self.demosaic not in DEMOSAIC_METHODS:
             raise ValueError(
