@@ -128,6 +128,21 @@ def test_the_stated_errors_are_those_of_many_trials():
         np.mean([one.law.hz_se for one in found]), rel=0.2)
 
 
+def test_a_turning_polarizer_swings_in_s1_and_s2():
+    t, turns = times(25, 6), 3.3        # AoP turns half as fast as the plate
+    s1, s2 = (blurred(t, lambda now, of=of: 0.9 * of(2 * np.pi * turns * now + 0.4))
+              for of in (np.cos, np.sin))
+    light = np.stack((np.ones(len(t)), s1, s2), 1)[None]
+    light += np.random.default_rng(1).normal(0, 0.003, light.shape)
+    found = fit_periodic(t, light, np.full(len(t), 2e4), 3.3, EPOCH,
+                         quantity=lambda s: s[1])
+    assert found.reasons == ("",)
+    got = found.regions[0].wave(lambda s: s[1])
+    assert got.amplitude[0] == pytest.approx(0.9, abs=4 * got.amplitude_se)
+    assert got.phase[0] == pytest.approx(0.4, abs=0.01)
+    assert fit_periodic(t, light, np.full(len(t), 2e4), 3.3, EPOCH).reasons != ("",)
+
+
 @pytest.mark.parametrize("seconds", [20.0, 60.0])
 def test_a_frequency_that_drifts_by_a_percent_is_followed(seconds):
     def turns(t):
@@ -154,7 +169,7 @@ def test_a_ramp_and_relaxation_do_no_harm(beside):
     (wave(50.0), 50.0, "exposures of 20 ms blur 50 Hz to 0% of its amplitude"),
     (wave(25.0), 25.0, "25 frames per second see 25 Hz always at the same phases"),
     (wave(12.5), 12.5, "see 12.5 Hz always at the same phases"),
-    (lambda t: 0.3 + 0 * t, 4.3, "no periodic DoLP stands out"),
+    (lambda t: 0.3 + 0 * t, 4.3, "no periodic light stands out"),
     (lambda t: 0.3 + 0.1 * (t > 9), 0.15, "no (steady|periodic)|but not with a period"),
     (lambda t: 0.3 + 0.1 * (t > 9), 4.3, "no (steady|periodic)"),
     (wave(0.05), 0.05, "1.0 cycles of 0.05 Hz, 2 are needed")])

@@ -13,7 +13,13 @@ from pdavis_cv.analysis.cycles import (
     resolved,
     slow_degree,
 )
-from pdavis_cv.analysis.harmonics import Harmonics, fit_harmonics, of_dolp
+from pdavis_cv.analysis.harmonics import (
+    Function,
+    Harmonics,
+    Wave,
+    fit_harmonics,
+    of_dolp,
+)
 from pdavis_cv.analysis.spectrum import checked_hz
 
 __all__ = ["Periodic", "fit_periodic"]
@@ -56,7 +62,7 @@ class Periodic:
 
 def fit_periodic(
     t_us: NDArray[np.int64], stokes: FloatArray, exposure_us: FloatArray, hz: float,
-    reference_us: int,
+    reference_us: int, *, quantity: Function = of_dolp,
 ) -> Periodic:
     """Follow a load through frames, and fit its harmonics to regions.
 
@@ -72,6 +78,9 @@ def fit_periodic(
         Frequency of the load, to 2 %.
     reference_us : int
         Time of phase 0.
+    quantity : callable
+        What must swing with the period, as in `Harmonics.wave`: `of_dolp`; for a
+        turning polarizer ``lambda s: s[1]``, for a lamp ``lambda s: s[0]``.
 
     Returns
     -------
@@ -119,35 +128,35 @@ def fit_periodic(
         fit = fit_harmonics(law, t_us, one, harmonics=harmonics, degree=degree,
                             exposure_us=exposure_us)
         regions.append(fit)
-        wave = fit.wave(of_dolp)
+        wave = fit.wave(quantity)
         if wave.amplitude[0] < _SIGNIFICANT * wave.amplitude_se:
             reasons.append(
-                f"no periodic DoLP stands out at {law.hz:.4g} Hz (amplitude "
+                f"no periodic light stands out at {law.hz:.4g} Hz (amplitude "
                 f"{wave.amplitude[0]:.2g} +- {wave.amplitude_se:.2g})")
         else:
-            reasons.append(_unsteady(law, t_us, one, exposure_us, fit))
+            reasons.append(
+                _unsteady(law, t_us, one, exposure_us, wave, quantity))
     return Periodic(law, harmonics, degree, tuple(regions), tuple(reasons))
 
 
 def _unsteady(
     law: PhaseLaw, t_us: NDArray[np.int64], stokes: FloatArray,
-    exposure_us: FloatArray, fit: Harmonics,
+    exposure_us: FloatArray, whole: Wave, quantity: Function,
 ) -> str:
     """Return why a change of light is not periodic, if the halves of the record differ.
 
     Halves of which the frames do not resolve a cycle say nothing.
     """
-    whole = fit.wave(of_dolp)
     middle = len(t_us) // 2
     for half in (slice(0, middle), slice(middle, None)):
         t, exposure = t_us[half], exposure_us[half]
         if len(t) < _LEAST_FRAMES or not resolved(law, t, exposure, 1):
             return ""
         part = fit_harmonics(law, t, stokes[half], harmonics=1, degree=1,
-                             exposure_us=exposure).wave(of_dolp)
+                             exposure_us=exposure).wave(quantity)
         share = part.amplitude[0] / whole.amplitude[0] * np.cos(
             part.phase[0] - whole.phase[0])
         if share < _STEADY:
-            return (f"DoLP changes, but not with a period of {1 / law.hz:.3g} s: one "
-                    f"half of the recording has {share:.0%} of the amplitude of all")
+            return (f"the light changes, but not with a period of {1 / law.hz:.3g} s: "
+                    f"one half of the recording has {share:.0%} of its amplitude")
     return ""

@@ -101,8 +101,8 @@ def rows_of(found: Findings) -> list[dict[str, Any]]:
                     "phase_se_deg": float(np.rad2deg(
                         np.hypot(wave.phase_se, law.phase_se))),
                     "phase_reference": "cosine at the start of the recording",
-                    "distortion": float(np.linalg.norm(wave.amplitude[1:])
-                                        / wave.amplitude[0])}
+                    "distortion": round(float(np.linalg.norm(
+                        wave.amplitude[1:]) / wave.amplitude[0]), 4)}
         loop = found.loops[i] if found.loops else None
         if loop is not None:
             row |= {"lag_behind_load_deg": loop.lag_deg,

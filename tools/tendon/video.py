@@ -94,7 +94,8 @@ class TendonSheet:
             lines, (160 * zoom, max(wide, 480)), zoom=zoom,
             span_s=(begin, begin + span), limits=self.limits, now_s=now, title="DoLP")
         title = (f"{self._source}   t = {now:.3f} s   load {found.load_hz:.3g} Hz   "
-                 f"{self.args.slow:g} x slower   {self._fps:g} images/s")
+                 f"{self.args.slow:g} x slower   {self._fps:g} images/s   "
+                 f"{enlarged / scale:g} x enlarged")
         return render.tendon_sheet(
             frame, events, image, below, grey=self.tone.seen, top=self.top,
             scale=enlarged, title=title,
