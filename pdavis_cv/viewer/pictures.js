@@ -395,6 +395,8 @@ function snapshotPicture(footer) {
     context.rect(x0, head, w, h);
     context.clip();
     context.lineWidth = 2;
+    context.shadowColor = "#000";
+    context.shadowBlur = 4;         // seen on any colour
     for (const {box, colour, name: title} of regions) {
       const at = [0, 1].map(i => ((box[i] - origin[i]) / step / size[i]
         - (i ? view.y : view.x)) * view.zoom);
