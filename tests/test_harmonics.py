@@ -7,6 +7,8 @@ import pytest
 from pdavis_cv.analysis import (
     HarmonicFit,
     PhaseLaw,
+    Roi,
+    event_hz,
     fit_harmonics,
     fit_periodic,
     loop_area,
@@ -14,6 +16,7 @@ from pdavis_cv.analysis import (
     of_dolp,
     specimen_errors,
 )
+from pdavis_cv.simulation import Camera, FlatLight, Tendon
 
 EPOCH = 1_700_000_000_000_000
 EXPOSURE = 20_000
@@ -182,6 +185,18 @@ def test_a_frequency_that_no_clock_resolves_is_refused():
     for hz in (0, -1.0, np.float16("inf")):
         with pytest.raises(ValueError, match="hz must be positive and at most 500000"):
             fitted(wave(1.0), hz)
+
+
+@pytest.mark.parametrize("hz", [5.065, 20.26, 33.0])
+def test_events_tell_the_frequency_where_frames_alias(hz):
+    camera = Camera.preset("davis346", seed=1001, size=(28, 36))
+    recording, _ = camera.record(Tendon(hz=hz), 3.0)
+    region = Roi.from_rectangle(4, 4, 28, 20)
+    found = event_hz(recording, [region], recording.info.layout, 0, 3_000_000)
+    assert found == pytest.approx(hz, abs=0.1)
+    still, _ = camera.record(FlatLight(dolp=0.3), 1.0)
+    assert event_hz(still, [region], still.info.layout, 0, 1_000_000) is None
+    assert event_hz(still, [region], still.info.layout, 0, 10_000) is None
 
 
 def test_columns_that_are_exposed_later_are_brought_to_one_time():

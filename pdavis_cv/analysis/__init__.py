@@ -6,6 +6,7 @@ from pdavis_cv.analysis.align import (
     align_by_triggers,
 )
 from pdavis_cv.analysis.cycles import PhaseLaw
+from pdavis_cv.analysis.event_tone import event_hz
 from pdavis_cv.analysis.fan import SectorSummary, Wheel, summarise_sectors
 from pdavis_cv.analysis.harmonics import (
     HarmonicFit,
@@ -71,6 +72,7 @@ __all__ = [
     "birefringence",
     "dominant_tone",
     "event_counts",
+    "event_hz",
     "events_by_phase",
     "fit_harmonics",
     "fit_periodic",

@@ -18,6 +18,7 @@ import numpy as np
 
 from pdavis_cv import (
     AnalysisWarning,
+    Layout,
     PolarFrame,
     Recording,
     analysis,
@@ -44,6 +45,9 @@ from .findings import Findings
 from .video import TendonSheet
 
 __all__ = ["main", "measure"]
+
+
+_SAME = 0.1     # relative difference of frequencies that mean the same
 
 
 @command
@@ -181,7 +185,7 @@ def measure(
     light = periodic.measure(
         args, recording,
         periodic.Frames(recording, options if frames is None else held, background),
-        regions, _found_hz(args, fused), start)
+        regions, _found_hz(args, recording, fused), start)
     found = Findings(start, facts, fused, frames, light)
     found.waves = results.waves_of(args, found)
     _optics(args, found)
@@ -221,8 +225,13 @@ def _traces(
     return recorder.traces(recording) if recorder.count else None
 
 
-def _found_hz(args: argparse.Namespace, fused: analysis.Traces) -> float:
-    """Return the load's frequency: as stated, or the strongest in a region's DoLP."""
+def _found_hz(
+    args: argparse.Namespace, recording: Recording, fused: analysis.Traces
+) -> float:
+    """Return the load's frequency: as stated, or the strongest in a region's DoLP.
+
+    Of fused images, frames may pull it to where it aliases; events say where it is.
+    """
     for roi, row in zip(fused.rois, fused.table, strict=True):
         known = np.count_nonzero(np.isfinite(row["dolp"]))
         if known < 8:
@@ -232,7 +241,12 @@ def _found_hz(args: argparse.Namespace, fused: analysis.Traces) -> float:
     if args.load_hz is not None:
         return float(args.load_hz)
     tones = [analysis.dominant_tone(fused.t_us, row["dolp"]) for row in fused.table]
-    return min(tones, key=lambda tone: tone.hz_se / tone.hz).hz
+    hz = min(tones, key=lambda tone: tone.hz_se / tone.hz).hz
+    by_events = analysis.event_hz(
+        recording, fused.rois,
+        Layout.of(args.layout or recording.info.layout or Layout.PDAVIS),
+        int(fused.t_us[0]), int(fused.t_us[-1]))
+    return hz if by_events is None or abs(hz / by_events - 1) < _SAME else by_events
 
 
 def _background(args: argparse.Namespace, options: dict[str, Any]) -> Any:
