@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore, Scorer
 from pdavis_cv.batch.works import predicted_images
 from pdavis_cv.simulation import Camera, RotatingPolarizer, Scene, Texture, Truth
-
 from pdavis_cv.tools.score import Trial, trials
-from .page import table
-from .light import edges
-from .run import OFF_LOCK, Settings
 
+from .light import edges
+from .page import table
+from .run import OFF_LOCK, Settings
 
 _SIZE = (16, 16)
 _SECONDS = 2.0

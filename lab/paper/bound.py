@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from pdavis_cv.simulation import ApsPixel, Camera, Optics, Scene
 
-
 FloatArray = NDArray[np.float64]
 
 # Of errors e ~ N(0, sigma^2): mean |e| = sigma sqrt(2 / pi).

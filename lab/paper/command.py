@@ -18,7 +18,6 @@ from pdavis_cv import __version__
 from pdavis_cv.export import write_csv
 from pdavis_cv.reconstruct.weights import Weights
 from pdavis_cv.simulation import PRESETS
-
 from pdavis_cv.tools._common import (
     Parser,
     UsageError,
@@ -40,6 +39,7 @@ from pdavis_cv.tools._values import (
     roi_option,
     within,
 )
+
 from . import (
     both_scores,
     correct_span,
@@ -65,7 +65,6 @@ from .page import summary, write_page, write_rows
 from .print_style import beside_stem, journal, save_figure
 from .recording import fit_files, fits_page
 from .run import METHODS, Case, Row, Settings, Takes, run
-
 
 PAPER = ("fig2", "fig3", "fig4a", "dr", "flicker")
 """The experiments of the paper."""

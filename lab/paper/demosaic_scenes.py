@@ -17,7 +17,6 @@ from scipy import ndimage
 
 from pdavis_cv.tools._common import UsageError
 
-
 ANGLES_DEG = (0, 45, 90, 135)
 Fields = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 """S0 (0 to about 1), DoLP and AoP (radians), each (H, W)."""

@@ -12,7 +12,6 @@ from pdavis_cv.export import write_beside
 from .print_style import beside_stem
 from .run import Settings
 
-
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto;
        padding: 0 1rem; color: #222; background: #fff; }

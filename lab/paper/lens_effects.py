@@ -28,7 +28,6 @@ from pdavis_cv.simulation import (
 from .page import table
 from .run import Settings
 
-
 FloatArray = NDArray[np.float64]
 
 _SIDE, _SECONDS, _DARK_SECONDS = 16, 0.2, 2.0

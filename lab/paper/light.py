@@ -14,13 +14,12 @@ from pdavis_cv.simulation import (
     FlatLight,
     FunctionScene,
     RotatingPlate,
+    RotatingPolarizer as Polarizer,
     Scene,
 )
-from pdavis_cv.simulation import RotatingPolarizer as Polarizer
 
 from .page import mean, pivot, table
 from .run import METHODS, OFF_LOCK, Case, Row, Settings
-
 
 Light = Callable[[float], Scene]
 

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,6 @@ from pdavis_cv.export import write_beside, write_csv
 
 from .print_style import beside_stem
 from .run import SHOWN, Row
-
 
 # Columns of the tables, and how their numbers are written.
 FORMATS = {

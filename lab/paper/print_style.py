@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pdavis_cv.export import write_beside
-
 from pdavis_cv.tools._common import can_draw
 
 if TYPE_CHECKING:

@@ -17,11 +17,10 @@ from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, Recording
 from pdavis_cv.recording.memory import MemoryRecording
 from pdavis_cv.sensor import Layout, Sensor
 from pdavis_cv.simulation import RotatingPolarizer, Scene
-
 from pdavis_cv.tools._common import UsageError
+
 from .page import table
 from .run import SETTLE_US, TAIL_US, Case, Take
-
 
 # A region of 12x12 pixels, as the paper's.
 _SIDE = 12

@@ -32,7 +32,6 @@ from .run import (
     run,
 )
 
-
 RPMS = (30.0, 60.0, 100.0, 200.0, 500.0, 1000.0)
 # A fixed plate along 0 or 45 degrees would leave two channels without a change.
 _PLATE_AXIS = math.radians(15)

@@ -25,7 +25,6 @@ from .run import (
     score,
 )
 
-
 _SCORED_US = 400_000
 _TRACE_CYCLES = 2.2
 # The light of all scenes repeats with half a turn: a trace may begin that much later.

@@ -11,7 +11,6 @@ from .page import mean, pivot, table
 from .rotation import Comparison
 from .run import NETWORKS, OFF_LOCK, Settings
 
-
 _USE_EVENTS = ("events", "cf", "firenet", "joint", "kalman")
 
 
@@ -53,8 +52,8 @@ def page(figure: str, results: Sequence[Comparison], settings: Settings,
     if any(row.method in NETWORKS for result in results for row in result.rows):
         lines += ["`firenet` and `joint` are the networks that come with the package: "
                   "the paper's and one over four channels, trained on simulated "
-                  "textures, polarizers, retarders and wheels (lab/docs/networks.md), not "
-                  "on these recordings and not anew for them, without the paper's "
+                  "textures, polarizers, retarders and wheels (lab/docs/networks.md), "
+                  "not on these recordings and not anew for them, without the paper's "
                   "calibration per speed. They see events only, of 40 x 40 pixels, of "
                   "which the middle 12 x 12 count, and are scored at the ends of their "
                   "windows, 1/25 of a period, once their memory has settled.", ""]

@@ -15,9 +15,7 @@ from pdavis_cv.analysis.score import KnownLight, Score, Scorer
 from pdavis_cv.fusion import fuse
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.simulation import FULL, PRESETS, Camera, Scene
-
 from pdavis_cv.tools._images import warn_of_nothing
-
 
 # Held until the first frames and a slow high-pass have settled.
 SETTLE_US = 1_000_000

@@ -34,7 +34,6 @@ from pdavis_cv.simulation import (
 from .page import table
 from .run import SONY_FULL, Settings
 
-
 FloatArray = NDArray[np.float64]
 Stokes = tuple[FloatArray, FloatArray, FloatArray]
 

@@ -28,7 +28,7 @@ from pdavis_cv.render import (
     dolp_bgr,
     events_on,
     fade,
-    quad_picture,
+    grey_bgr,
     stack,
 )
 from pdavis_cv.simulation import (
@@ -46,7 +46,6 @@ from . import run as runs
 from .index import played
 from .page import table
 from .run import OFF_LOCK, SONY_FULL, Settings
-
 
 _SIDE, _QUICK_SIDE = 64, 32
 _BEFORE_S, _AFTER_S = 0.5, 0.1
@@ -267,7 +266,7 @@ class _Drawing:
     def _panel(self, what: str, k: int, moment: Moment) -> Picture:
         image = moment.images[k]
         if what == "channels":
-            return quad_picture(image, self._white)
+            return _channels(image, self._white)
         if what == "i0":
             return self._tones[k].seen(image.quad[0], image.valid)
         if what == "events":
@@ -277,6 +276,13 @@ class _Drawing:
         picture = aop_bgr(image.aop, image.valid)
         fade(picture, image.dolp, image.valid)
         return picture
+
+
+def _channels(image: PolarFrame, white: float) -> Picture:
+    """Return every second pixel of I0 and I45, above those of I90 and I135."""
+    height, width = (side // 2 * 2 for side in image.shape)
+    parts = [grey_bgr(channel[:height:2, :width:2], white) for channel in image.quad]
+    return np.vstack((np.hstack(parts[:2]), np.hstack(parts[2:])))
 
 
 _TITLES = {"channels": "{}: I0 I45 / I90 I135", "i0": "{}: I0", "aop": "{}: AoP",

@@ -15,7 +15,6 @@ from pdavis_cv.render.colours import (
 from pdavis_cv.render.layouts import (
     fan_sheet,
     png_of,
-    quad_picture,
     summary,
     tendon_sheet,
 )
@@ -77,7 +76,6 @@ __all__ = [
     "opencv",
     "panel",
     "png_of",
-    "quad_picture",
     "quantity_bgr",
     "reliable",
     "scale_bar",

@@ -14,7 +14,6 @@ from pdavis_cv.render.colours import (
     Picture,
     aop_bgr,
     dolp_bgr,
-    grey_bgr,
 )
 from pdavis_cv.render.legends import DARK, even, panel, tile
 from pdavis_cv.render.overlay import fade_aop, reliable
@@ -23,33 +22,12 @@ from pdavis_cv.render.tone import ToneCurve
 __all__ = [
     "fan_sheet",
     "png_of",
-    "quad_picture",
     "summary",
     "tendon_sheet",
 ]
 
 _LEAST_WIDTH = 240  # of a panel, so that small images are visible and captions fit
 Grey = Callable[[ArrayLike, NDArray[np.bool_] | None], Picture]
-
-
-def quad_picture(frame: PolarFrame, white: float) -> Picture:
-    """Show the four channels as quarters of one picture: 0 and 45 above 90 and 135.
-
-    Parameters
-    ----------
-    frame : PolarFrame
-        The image.
-    white : float
-        Intensity that becomes white, DN per ms.
-
-    Returns
-    -------
-    ndarray of uint8, shape (2 * (H // 2), 2 * (W // 2), 3)
-        BGR; each quarter is every second row and column.
-    """
-    height, width = (side // 2 * 2 for side in frame.shape)
-    parts = [grey_bgr(channel[:height:2, :width:2], white) for channel in frame.quad]
-    return np.vstack((np.hstack(parts[:2]), np.hstack(parts[2:])))
 
 
 def summary(image: PolarFrame) -> Picture:
