@@ -302,9 +302,13 @@ def test_amplitude_and_phase_of_any_speed_are_those_of_the_light(
 def test_a_load_in_step_with_the_frames_is_refused_and_the_mean_written(
         tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
-    recording, _ = Camera.preset("ideal", size=(20, 24)).record(Tendon(hz=10.0), 2.0)
+    scene = Tendon(hz=10.0)
+    recording, _ = Camera.preset("ideal", size=(20, 24)).record(scene, 2.0)
     opens_by(monkeypatch, opener({"a": recording}))
-    assert tendon.main(["a", "-o", str(tmp_path), "--no-video", "--load-hz", "10"]) == 0
+    load_csv(tmp_path / "load.csv", scene)
+    assert tendon.main(["a", "-o", str(tmp_path), "--no-video", "--load-hz", "10",
+                        "--load", str(tmp_path / "load.csv"), "--offset", "0.2"]) == 0
+    assert not (tmp_path / "loop.csv").exists()
     assert "see 10 Hz always at the same phases" in capsys.readouterr().out
     row = json.loads((tmp_path / "results.json").read_text())["regions"][0]
     assert "dolp_amplitude" not in row
@@ -392,7 +396,7 @@ def test_a_full_disk_gives_one_line_that_names_the_file(
              if not line.startswith("pdavis: warning")]
     assert code == 1
     assert len(lines) == 1
-    assert re.match(r"pdavis: (x|traces)[-\w]*\.\w+: ", lines[0])
+    assert re.match(r"pdavis: (x|maps)[-\w]*(\.\w+)+: ", lines[0])
     assert not list(tmp_path.iterdir())
 
 

@@ -53,7 +53,7 @@ COMMANDS = {
     "fan": (("fan", SAMPLE := str(example_recording()), "-o", "{out}.mp4", *LAYOUT,
              "--centre", "172,129", "--radius", "9"), ("cv2",)),
     "tendon": (("tendon", SAMPLE, "-o", "{out}", "--layout", "pdavis", "--fps", "60"),
-               ("cv2", "matplotlib")),
+               ("cv2", "matplotlib", "tifffile")),
     "view": (("view", "{bag}", "--no-browser"), ("rosbags",)),
     "stream": (("stream", "{h5}"), ("h5py",)),
     "weights": (("weights", "convert", "{zip}", "-o", "{out}.npz"), ()),

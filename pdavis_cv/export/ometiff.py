@@ -14,7 +14,7 @@ from pdavis_cv._types import Facts, Image
 from pdavis_cv.export.provenance import to_json
 from pdavis_cv.export.stacks import HEADER, StackFile
 
-__all__ = ["OmeTiffFile", "write_maps"]
+__all__ = ["OmeTiffFile", "tifffile", "write_maps"]
 
 _CLASSIC_END = 2**32 - 2**24
 _UM_PER_CM = 1e4
@@ -35,7 +35,7 @@ class OmeTiffFile(StackFile):
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        self._tifffile = _tifffile()
+        self._tifffile = tifffile()
         super().__init__(*arguments, **options)
 
     def _finish(self) -> Path:
@@ -82,12 +82,13 @@ class OmeTiffFile(StackFile):
         return found
 
 
-def _tifffile() -> Any:
+def tifffile() -> Any:
+    """Return the package, or raise an error that says how to install it."""
     try:
-        import tifffile
+        import tifffile as package
     except ImportError:
         raise ImportError("OME-TIFF needs tifffile: pip install tifffile") from None
-    return tifffile
+    return package
 
 
 def _resolution(pixel_um: float | None) -> dict[str, Any]:
@@ -132,7 +133,7 @@ def write_maps(
     """
     named = [f"{name} ({unit})" if unit else name for name, (_, unit) in maps.items()]
     stack = np.stack([values for values, _ in maps.values()]).astype("<f4")
-    with write_beside(path) as part, _tifffile().TiffWriter(
+    with write_beside(path) as part, tifffile().TiffWriter(
             part, byteorder="<", ome=True) as file:
         file.write(
             stack, photometric="minisblack", compression="zlib",

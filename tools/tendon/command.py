@@ -26,6 +26,7 @@ from pdavis_cv import (
     fuse,
     render,
 )
+from pdavis_cv.export.ometiff import tifffile
 
 from .._common import (
     Parser,
@@ -58,6 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError("--thickness-um and --wavelength-nm belong together")
     report.matplotlib()  # report a missing package before the work
     render.opencv()
+    tifffile()
     load = None if args.load is None else analysis.read_load(args.load)
     args.out.mkdir(parents=True, exist_ok=True)
     with opened(args) as recording:

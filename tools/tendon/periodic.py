@@ -58,7 +58,7 @@ class Frames:
         """Return the exposures at times."""
         if not self._mid.size:
             return np.zeros(len(t_us))
-        return np.interp(t_us, self._mid, self._exposure)
+        return np.asarray(np.interp(t_us, self._mid, self._exposure), np.float64)
 
     def images(self) -> Iterator[tuple[PolarFrame, FloatArray]]:
         """Yield images with a valid pixel, and their S0, S1, S2."""

@@ -136,15 +136,15 @@ def _table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 
 def _load_table(found: Findings) -> str:
-    shown = (("frequency_hz", "frequency / Hz"), ("dolp", "mean DoLP"),
+    known = (("frequency_hz", "frequency / Hz"), ("dolp", "mean DoLP"),
              ("dolp_amplitude", "amplitude"), ("phase_deg", "phase at start / deg"),
              ("lag_behind_load_deg", "behind the load / deg"),
              ("aop_deg", "mean AoP / deg"),
              ("retardance_deg", "retardance / deg"),
              ("birefringence", "birefringence"), ("note", ""))
     rows = [rounded(row) for row in rows_of(found)]
-    shown = tuple((name, title) for name, title in shown if any(
-        row.get(name, "") != "" for row in rows))
+    shown = [(name, title) for name, title in known if any(
+        row.get(name, "") != "" for row in rows)]
     text = _table(["region", *(title for _, title in shown)], (
         (row["region"], *(_with_error(row, name) for name, _ in shown))
         for row in rows))
@@ -303,6 +303,8 @@ def _cycle(figure: Any, found: Findings) -> None:
 def _loop(figure: Any, found: Findings) -> None:
     axes = figure.subplots()
     for i, (roi, loop) in enumerate(zip(found.fused.rois, found.loops, strict=True)):
+        if loop is None:
+            continue
         axes.plot(np.append(loop.x, loop.x[:1]), np.append(loop.y, loop.y[:1]),
                   color=_COLOURS[i % len(_COLOURS)], label=roi.name)
     axes.set_xlabel("force / N" if "force_n" in found.extra else "displacement / mm")

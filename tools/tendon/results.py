@@ -63,8 +63,8 @@ def loop_of(found: Findings, region: int) -> Loop | None:
     lag = np.angle(np.exp(1j * (x.phase[0] - y.phase[0])))
     return Loop(
         force.cycle(_CYCLE)[0], of_dolp(light.fit.regions[region].cycle(_CYCLE)),
-        float(np.rad2deg(lag)), float(np.rad2deg(np.linalg.norm(
-            (x.phase_se, y.phase_se, delay)))), area, area_se)
+        float(np.rad2deg(lag)), float(np.rad2deg(math.hypot(
+            float(x.phase_se), float(y.phase_se), delay))), area, area_se)
 
 
 def rows_of(found: Findings) -> list[dict[str, Any]]:
@@ -157,10 +157,16 @@ def write(args: argparse.Namespace, found: Findings) -> list[Path]:
     names.append(names.pop(names.index("note")))
     table: dict[str, Any] = {"decimal": args.decimal}
     facts = {**facts, "hz": found.load_hz}
+    # The largest file first: on a full disk it leaves no others.
+    written = [out / "maps.ome.tif"]
+    export.write_maps(
+        written[0], maps_of(found), facts={
+            **facts, "smoothed_over": args.smooth, "phase": "of a cosine at the start"},
+        pixel_um=args.pixel_um)
     export.write_csv(out / "results.csv", names, (
         [row.get(name, "") for name in names] for row in map(rounded, rows)),
         digits=7, **table)
-    written = [out / "results.csv", out / "results.json", out / "traces.csv"]
+    written += [out / "results.csv", out / "results.json", out / "traces.csv"]
     export.write_traces(out / "traces.csv", found.fused, origin_us=origin, facts=facts,
                         extra=found.extra, **table)
     written += export.write_jaer_csv(
@@ -186,11 +192,6 @@ def write(args: argparse.Namespace, found: Findings) -> list[Path]:
             ((roi.name, x, y) for roi, loop in zip(rois, found.loops, strict=True)
              if loop is not None for x, y in zip(loop.x, loop.y, strict=True)),
             digits=7, **table)
-    written.append(out / "maps.ome.tif")
-    export.write_maps(
-        written[-1], maps_of(found), facts={
-            **facts, "smoothed_over": args.smooth, "phase": "of a cosine at the start"},
-        pixel_um=args.pixel_um)
     clock = found.clock
     export.write_json(out / "results.json", {
         "regions": rows, "messages": found.messages,
