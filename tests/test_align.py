@@ -150,6 +150,8 @@ def test_triggers_give_offset_and_skew_with_pulses_missing_at_the_ends():
     ours = EPOCH + np.rint((OFFSET + (1 + SKEW) * pulses[:-2]) * 1e6).astype(np.int64)
     clock = align_by_triggers(ours, theirs)
     assert np.max(np.abs(errors_ms(clock))) < 0.01
+    coarse = align_by_triggers(ours, theirs, resolution_s=0.01)
+    assert coarse.offset_se_s == pytest.approx(0.01 / np.sqrt(12), rel=1e-3)
     single = align_by_triggers(ours[3:4], theirs[:1])
     assert single.skew_ppm == 0
     assert float(single.to_us(theirs[0])) == pytest.approx(ours[3], abs=1)

@@ -97,7 +97,8 @@ def align_by_offset(
 
 
 def align_by_triggers(
-    trigger_us: ArrayLike, trigger_s: ArrayLike, *, tolerance_s: float = 2e-3
+    trigger_us: ArrayLike, trigger_s: ArrayLike, *, tolerance_s: float = 2e-3,
+    resolution_s: float = 0.0,
 ) -> Clock:
     """Align by pulses that both clocks recorded.
 
@@ -114,6 +115,9 @@ def align_by_triggers(
         Increasing times on the other clock.
     tolerance_s : float
         Largest distance of a matched pulse from the line.
+    resolution_s : float
+        Interval at which the other side samples its trigger: each of its pulses lies
+        anywhere in one, all of them perhaps at the same place.
 
     Returns
     -------
@@ -169,6 +173,7 @@ def align_by_triggers(
             f"{offset:.3f} s, as some are missing: space them unevenly",
             AnalysisWarning, stacklevel=2)
         offset_se = float(np.hypot(np.nan_to_num(offset_se), other - offset))
+    offset_se = float(np.hypot(offset_se, resolution_s / np.sqrt(12)))
     return Clock(
         origin, offset, offset_se, (slope - 1) * 1e6, slope_se * 1e6, "trigger")
 
