@@ -1,4 +1,4 @@
-/* What the events of a pixel say of its light: docs/theory/increments.md, equations (2)
+/* What the events of a pixel say of its light: docs/theory/kalman.md, equations (2)
    to (6).  Times are s, counts are signed numbers of thresholds, OFF first. */
 #ifndef PDAVIS_CV_INCREMENTS_H
 #define PDAVIS_CV_INCREMENTS_H
@@ -22,7 +22,7 @@
 #define AT_REST (1.0 / (1.0 + RESTS * RESTS * RESTS * RESTS))
 #define PER_TURN_2 0.15915494309189535  /* 1 / (2 pi) */
 
-/* Constants of the filter: times, gates, hot pixels (docs/theory/increments.md). */
+/* Constants of the filter: times, gates, hot pixels (docs/theory/kalman.md). */
 #define PD_NEVER ((int64_t)1 << 62)
 #define PD_GATE 16.0            /* squared sigmas beyond which a frame starts anew */
 #define PD_CLAIM 0.5            /* as CLAIM_SHARE ... HOT_SAMPLES of _hot.pxd */

@@ -5,7 +5,7 @@ One pixel's log intensity, with the black level, at t is
     J(t) = L + y(t) - y(frame) + gains (parts(t) - parts(frame)) + lead(t)
 
 where L is the estimate at a frame, y sums the changes that events stand for, and parts
-are those of OFF and of ON events.  docs/theory/increments.md has the equations.
+are those of OFF and of ON events.  docs/theory/kalman.md has the equations.
 """
 from libc.stdint cimport int32_t, int64_t
 

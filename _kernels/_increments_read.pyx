@@ -221,7 +221,8 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
     cdef float* plane = &planes[0, 0, 0]
     first, last = bands
     t, known, f.epoch, f.fresh = times
-    node, gains, exposure, f.samples, anchors, later, back, middles, then, waves = frames
+    (node, gains, exposure, f.samples, anchors, later, back, middles, then,
+     waves) = frames
     lamp = lamp_of(waves)
     f.lamp = &lamp
     f.h, f.w = pixels.shape[0], pixels.shape[1]

@@ -144,8 +144,8 @@ def learning_means(const past_t[::1] events not None, const int64_t[::1] start n
 
     span (3, N) is begin and end of the exposures and the time up to which events are
     known, at least `ahead` after each sample; log is ln(I + black) of the frame;
-    factor (2, N) is 1 + gain, OFF and ON.  out (N, 14) receives M-, M+, counts by class,
-    h, and the variance of J.
+    factor (2, N) is 1 + gain, OFF and ON.  out (N, 14) receives M-, M+, counts by
+    class, h, and the variance of J.
     """
     cdef Py_ssize_t i, n = pixel.shape[0], pixels = start.shape[0] - 1
     cdef const camera_t* c = camera_of(camera)

@@ -26,11 +26,10 @@ ROOMS = {
 
 _PAGE_OF = {"sensor": "polarimetry", "stokes_vector": "polarimetry",
             "analyser": "polarimetry", "quantities": "polarimetry",
-            "mosaic": "polarimetry", "aps": "recording", "packed": "recording",
-            "selfcal": "calibration"}
+            "mosaic": "polarimetry", "aps": "recording", "packed": "recording"}
 _INSIDE = {
     "fusion": ("fusion",), "live": ("live",), "batch": ("batch",), "data": ("data",),
-    "calibration": ("calibration", "selfcal"), "analysis": ("analysis",),
+    "calibration": ("calibration",), "analysis": ("analysis",),
     "render": ("render",), "export": ("export",), "simulation": ("simulation",)}
 """Modules whose public names a page has beside those of `pdavis_cv`."""
 _PLUGINS = ("imageio_plugin", "napari_plugin", "pims_reader")

@@ -75,11 +75,6 @@ from .events import (
     voxel_grid as voxel_grid,
 )
 from .fusion.iteration import fuse as fuse
-from .fusion.learning import (
-    bandwidth_in_situ as bandwidth_in_situ,
-    clock_offset_in_situ as clock_offset_in_situ,
-    thresholds_in_situ as thresholds_in_situ,
-)
 from .fusion.options import FusionOptions as FusionOptions
 from .live.address import (
     SOURCES as SOURCES,

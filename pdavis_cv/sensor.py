@@ -20,14 +20,6 @@ The default of v2e for DAVIS cameras (Hu, Liu, Delbruck, CVPR Workshops 2021).  
 of cameras lie between 0.14 (Haessig et al., table S1) and about 0.4.
 """
 
-THRESHOLD_SIGMA = 0.035
-"""Prior standard deviation of a pixel's thresholds about those of the sensor, ln units.
-
-"3.5 %" of Brandli et al. (IEEE J. Solid-State Circuits 49, 2014), read as an absolute
-contrast; 2.1 % in Lichtsteiner et al. (43, 2008), 0.03 in v2e.  For thresholds near
-0.17 it is 20 %, which allows for an error of the nominal value.
-"""
-
 
 @dataclass(frozen=True, slots=True)
 class Layout:

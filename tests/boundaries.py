@@ -263,7 +263,7 @@ def table():
         ("fuse at times", fused, {
             "method": "frames", "times_us": np.array([30_000, 60_000])}),
         ("fuse kalman", fused, {
-            "method": "kalman", "bandwidth": (200.0, 0.0), "noise": (0.1, 0.1, 0.1),
+            "method": "kalman", "mode": "offline", "lookahead_us": 100_000,
             "thresholds": (0.2, 0.2)}),
         ("dominant_tone", a.dominant_tone, {
             "t_us": t, "values": trace, "lowest_hz": 0.5, "highest_hz": 20.0,

@@ -1,6 +1,6 @@
 """A plain version of the filter of increments, written to be read: one pixel at a time,
 all events at hand.  Symbols and numbers of equations are those of
-docs/theory/increments.md."""
+docs/theory/kalman.md."""
 import math
 
 import numpy as np

@@ -21,6 +21,7 @@ from pdavis_cv.data import example_recording
 from pdavis_cv.export import read_embedded
 from pdavis_cv.simulation import Camera, Fan, Tendon
 from pdavis_cv.tools import export, fan
+from pdavis_cv.tools._images import grid_times
 from pdavis_cv.tools.tendon import command as tendon
 
 cv2 = pytest.importorskip("cv2")
@@ -163,7 +164,8 @@ def test_tendon_finds_the_load_and_writes_everything(
     assert zero == pytest.approx(0.2, abs=0.002)
     assert hz == pytest.approx(5.0, rel=0.005)
     table = pandas.read_csv(out / "traces.csv")
-    images = list(fuse(recording, fps=100, demosaic="guided"))
+    images = list(fuse(recording, demosaic="guided",
+                       times_us=grid_times(recording, 100, None, None)))
     mean = [[float(p[6:18, 8:24].mean(dtype=float)) for p in (f.s0, f.s1, f.s2)]
             for f in images if f.valid[6:18, 8:24].all()]
     s0, s1, s2 = np.array(mean).T

@@ -4,12 +4,12 @@ import math
 import numpy as np
 import pytest
 
-from pdavis_cv import FusionOptions, fuse
+from pdavis_cv import FusionOptions, fuse, recording_from_arrays
 from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.fusion import events_alone
+from pdavis_cv.fusion.events_alone import event_scale
+from pdavis_cv.pixel.sample import PixelSample
 from pdavis_cv.reconstruct.redundancy import EventRedundancy
-from pdavis_cv.selfcal import SelfCalibration, event_scale, window
-from pdavis_cv.selfcal.event_scale import fit_event_scale
-from pdavis_cv.selfcal.window import CellWindow
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 
 SIZE, NOMINAL = (12, 12), (0.16, 0.18)
@@ -34,13 +34,13 @@ def real():
 
 
 def kept(events, shape=SIZE):
-    cells = CellWindow(shape)
-    cells.add_events(events)
-    return cells
+    sample = PixelSample(shape)
+    sample.add_events(events)
+    return sample
 
 
 def test_thresholds_stated_right_are_kept(right):
-    found = fit_event_scale(kept(right.events()), NOMINAL)
+    found = event_scale(kept(right.events()), NOMINAL)
     assert abs(found.ln) < 0.08
     assert found.fall < 0.1
     assert not found.significant
@@ -53,7 +53,7 @@ def test_a_factor_on_the_stated_thresholds_is_found(right, factor):
     What is stated too large is not corrected: a lag looks the same.
     """
     cells = kept(right.events())
-    found = fit_event_scale(cells, [theta * factor for theta in NOMINAL])
+    found = event_scale(cells, [theta * factor for theta in NOMINAL])
     assert found.significant == (factor < 1)
     assert found.ln == pytest.approx(-math.log(factor), abs=3 * found.sigma)
     assert found.factor == math.exp(found.ln)
@@ -62,7 +62,7 @@ def test_a_factor_on_the_stated_thresholds_is_found(right, factor):
 
 def test_the_scale_of_a_camera_like_real_ones_is_found(real):
     recording, true = real
-    found = fit_event_scale(kept(recording.events()), (0.2, 0.2))
+    found = event_scale(kept(recording.events()), (0.2, 0.2))
     assert found.significant
     assert found.ln == pytest.approx(
         0.5 * math.log(true[0] * true[1] / 0.04), abs=3 * found.sigma)
@@ -71,9 +71,9 @@ def test_the_scale_of_a_camera_like_real_ones_is_found(real):
 def test_the_misfit_is_the_quality_of_the_method_on_these_macropixels(right):
     """On a small sensor all macropixels are kept; here they are chosen by hand."""
     events = right.events()
-    misfit = event_scale._misfit_of(kept(events), NOMINAL)
+    misfit = events_alone._misfit_of(kept(events), NOMINAL)
     n = len(misfit._on[0]) // 2
-    assert n > event_scale._LEAST_CELLS
+    assert n > events_alone._LEAST_CELLS
     method = EventRedundancy(SIZE, theta_on=0.16, theta_off=0.18)
     total, parts = np.zeros(36), 0
     last = events["t"][-1]
@@ -100,16 +100,16 @@ def test_macropixels_that_leak_do_not_count(right):
     both = np.concatenate([events, leaked])
     both = both[np.argsort(both["t"], kind="stable")]
     others = events[(events["y"] != 2) & (events["y"] != 3)]
-    assert fit_event_scale(kept(both), NOMINAL) == fit_event_scale(
+    assert event_scale(kept(both), NOMINAL) == event_scale(
         kept(others), NOMINAL)
 
 
 def test_too_few_events_tell_nothing(right):
     events = right.events()
-    assert fit_event_scale(CellWindow(SIZE), NOMINAL) is None
-    assert fit_event_scale(kept(events[:2000]), NOMINAL) is None
-    assert fit_event_scale(kept(events[events["p"] == 1]), NOMINAL) is None
-    assert fit_event_scale(kept(events[events["x"] % 2 == 0]), NOMINAL) is None
+    assert event_scale(PixelSample(SIZE), NOMINAL) is None
+    assert event_scale(kept(events[:2000]), NOMINAL) is None
+    assert event_scale(kept(events[events["p"] == 1]), NOMINAL) is None
+    assert event_scale(kept(events[events["x"] % 2 == 0]), NOMINAL) is None
 
 
 def test_noise_tells_nothing():
@@ -118,80 +118,38 @@ def test_noise_tells_nothing():
     events["t"] = np.sort(rng.integers(0, 10**6, len(events)))
     events["y"], events["x"] = rng.integers(0, 12, (2, len(events)))
     events["p"] = rng.integers(0, 2, len(events))
-    assert fit_event_scale(kept(events), NOMINAL) is None
+    assert event_scale(kept(events), NOMINAL) is None
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (2, 2), (7, 9), (130, 140)])
-def test_the_window_keeps_whole_macropixels(shape):
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (3, 2), (7, 9)])
+def test_sensors_too_small_tell_nothing(shape):
     rng = np.random.default_rng(0)
     events = np.zeros(3000, EVENT_DTYPE)
     events["t"] = np.sort(rng.integers(0, 10**6, len(events)))
     events["y"], events["x"] = (rng.integers(0, side, len(events)) for side in shape)
     events["p"] = rng.integers(0, 2, len(events))
-    cells = kept(events, shape)
-    number = min(shape[0] // 2 * (shape[1] // 2), window.MAX_CELLS)
-    assert cells.cells.shape == (2, number)
-    where = {(y, x): i for i, (y, x) in enumerate(cells.cells.T.tolist())}
-    assert len(where) == number
-    expected = [
-        (t, 4 * where[y // 2, x // 2] + 2 * (y % 2) + x % 2, p)
-        for t, x, y, p in events[["t", "x", "y", "p"]].tolist()
-        if (y // 2, x // 2) in where]
-    assert cells.events[["t", "x", "p"]].tolist() == expected
+    assert event_scale(kept(events, shape), NOMINAL) is None
 
 
-def test_the_window_is_bounded_and_does_not_depend_on_packets(right, monkeypatch):
-    monkeypatch.setattr(window, "MAX_CELL_EVENTS", 1000)
+def test_packets_do_not_matter(right):
     events = right.events()
-    whole, cut = kept(events), CellWindow(SIZE)
+    cut = PixelSample(SIZE)
     for part in np.array_split(events, 300):
         cut.add_events(part)
-    np.testing.assert_array_equal(whole.events, cut.events)
-    assert len(cut.events) == 1000
-    assert cut.events["t"][-1] == events["t"][-1]
-    assert sum(map(len, cut._parts)) < 1200
-    before = cut.state()
-    again = CellWindow(SIZE)
-    again.restore(before)
-    for one in (cut, again):
-        one.add_events(events[:500])
-    np.testing.assert_array_equal(cut.events, again.events)
-    assert sum(map(len, before)) < 1200
-    assert cut.nbytes < 20_000
+    assert event_scale(cut, NOMINAL) == event_scale(kept(events), NOMINAL)
 
 
-def test_a_quiet_stream_of_many_packets_takes_no_memory(right):
-    cells, events = CellWindow(SIZE), right.events()
-    for _ in range(1000):
-        cells.add_events(events[:0])
-    assert len(cells._parts) <= 1
-    for one in range(5000):
-        cells.add_events(events[one:one + 1])
-    assert len(cells._parts) < 4
-    np.testing.assert_array_equal(cells.events["t"], events["t"][:5000])
-
-
-def test_an_estimator_asks_events_where_frames_do_not_tell(real):
+def test_kalman_asks_events_where_frames_do_not_tell(real):
+    """Of frames that are always the same, as those of light beyond full scale."""
     recording, true = real
-    found = []
-    scale = {"scale", "bandwidth", "clock_offset", "refractory_us"}
-    for wanted, frames in (({"event_scale"}, True), (scale, True), (scale, False),
-                           ({"noise"}, True)):
-        camera = SelfCalibration(SIZE, (0.2, 0.2), every_pixel=False)
-        for packet in recording.packets():
-            camera.add_events(packet.events)
-            for frame in packet.frames:
-                if frames:
-                    camera.add_frame(frame)
-        found.append(camera.estimate(wanted=wanted))
-    by_events, by_frames, without, other = found
-    for one in (by_events, by_frames, without):
-        assert one.theta_on[0, 0] == pytest.approx(true[0], rel=0.2)
-    assert by_frames.common_scale_sigma > 0
-    assert by_frames.theta_on[0, 0] != by_events.theta_on[0, 0]
-    assert without.theta_on[0, 0] == by_events.theta_on[0, 0]
-    assert other.common_scale_sigma == 0
-    assert other.theta_on[0, 0] == 0.2
+    frames = [frame.replace(valid=np.zeros(SIZE, bool))
+              for packet in recording.packets() for frame in packet.frames]
+    blind = recording_from_arrays(recording.events(), frames, sensor_size=SIZE,
+                                  layout=recording.info.layout)
+    image, = fuse(blind, method="kalman", times_us=[1_000_000])
+    off, on = image.provenance["parameters"]["model"].thresholds
+    assert on == pytest.approx(true[0], rel=0.2)
+    assert off == pytest.approx(true[1], rel=0.25)
 
 
 @pytest.mark.parametrize("causal", [False, True])
@@ -203,8 +161,7 @@ def test_redundancy_finds_the_degree_of_a_camera_like_real_ones(real, causal):
             method="events", thresholds=stated, causal=causal, demosaic="superpixel",
             times_us=[1_400_000]), offsets="redundancy")
         errors.append(np.abs(image.dolp - 1).mean())
-        used = float(image.provenance["parameters"]["theta_on"].mean()
-                     if stated is None else stated[0])
+        used = float(np.mean(image.provenance["parameters"]["theta_on"]))
         if stated is None:
             assert used == pytest.approx(true[0], rel=0.2)
     learned, nominal, exact = errors

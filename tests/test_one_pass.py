@@ -24,7 +24,7 @@ NOMINAL = (0.16, 0.18)
 MODEL = PixelModel(theta=np.array([0.18, 0.16]))
 METHODS = [
     {"method": "frames"}, {"method": "cf"}, {"method": "kalman"},
-    {"method": "increments", "model": MODEL},
+    {"method": "kalman", "model": MODEL},
     {"method": "kalman", "denoise": True}, {"method": "kalman", "roi": (2, 2, 4, 4)},
     {"method": "events"}, {"method": "events", "offsets": "redundancy"},
     {"method": "firenet"}, {"method": "joint"},
@@ -107,7 +107,8 @@ def test_calls_do_not_matter_either(recording):
 
 
 def test_in_situ_thresholds_of_a_source_are_those_of_the_recording(recording):
-    options = {"thresholds": "in-situ", "fps": 20, "nominal_thresholds": NOMINAL}
+    options = {"method": "cf", "thresholds": "in-situ", "fps": 20,
+               "nominal_thresholds": NOMINAL}
     assert_same(fuse(recording, **options), fuse(once(recording), **options))
 
 
@@ -146,10 +147,8 @@ def endless(fps=20, size=(8, 8)):
     ({"causal": True, "method": "cf"}, 20_000),
     ({"causal": True}, 20_000),
     ({"method": "cf"}, 220_000),
-    ({"thresholds": NOMINAL, "clock_offset_us": None, "bandwidth": None,
-      "noise": (0.02, 0.1, 0.0003)}, 280_000),
-    ({"mode": "offline", "clock_offset_us": None, "bandwidth": None,
-      "noise": (0.02, 0.1, 0.0003)}, 800_000),
+    ({"clock_offset_us": None, "model": MODEL}, 280_000),
+    ({"mode": "offline", "clock_offset_us": None, "model": MODEL}, 800_000),
 ], ids=str)
 def test_no_image_waits_for_more_than_it_needs(options, wait_us):
     source, taken = endless()
@@ -160,8 +159,7 @@ def test_no_image_waits_for_more_than_it_needs(options, wait_us):
 @pytest.mark.parametrize("options", [
     {"method": "cf", "causal": True},
     pytest.param({"method": "kalman", "causal": True}, marks=pytest.mark.gate),
-    pytest.param({"method": "kalman", "bandwidth": None, "noise": (0.02, 0.1, 0.0003)},
-                 marks=pytest.mark.gate),
+    pytest.param({"method": "kalman", "model": MODEL}, marks=pytest.mark.gate),
     {"method": "cf"}], ids=str)
 def test_what_is_held_does_not_grow_with_the_stream(options):
     source, _ = endless()
@@ -207,7 +205,7 @@ def test_a_learned_parameter_changes_at_its_time_and_not_before(recording):
     # Of a look after .5 s, an eighth later.
     times = [first + 562_499, first + 562_500]
     before, after = fuse(once(recording), times_us=times, **options)
-    known = [image.provenance["parameters"]["bandwidth"] for image in (before, after)]
+    known = [image.provenance["parameters"]["model"] for image in (before, after)]
     assert known[0] != known[1]
 
 

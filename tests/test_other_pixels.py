@@ -26,8 +26,8 @@ METHODS = {
     "frames": {"method": "frames"},
     "cf": {"method": "cf"},
     "kalman causal": {"method": "kalman", "causal": True},
-    "kalman": {"method": "kalman", "thresholds": "in-situ"},
-    "kalman offline": {"method": "kalman", "mode": "offline", "thresholds": "in-situ"},
+    "kalman": {"method": "kalman"},
+    "kalman offline": {"method": "kalman", "mode": "offline"},
     "events, redundancy": {"method": "events", "offsets": "redundancy"},
 }
 

@@ -198,7 +198,7 @@ def test_what_was_learned_does_not_depend_on_what_was_fused_before():
     recording, _ = of(1006).record(RotatingPolarizer(rpm=200), 1.5)
 
     def learned(**options):
-        image = next(iter(fuse(recording, method="increments", **options)))
+        image = next(iter(fuse(recording, method="kalman", **options)))
         return image.provenance["parameters"]["model"]
 
     first = learned(mode="offline")
@@ -208,7 +208,7 @@ def test_what_was_learned_does_not_depend_on_what_was_fused_before():
 
 def test_a_stated_clock_offset_is_that_of_the_images():
     recording, _ = of(1007).record(RotatingPolarizer(rpm=200), 1.0)
-    image = next(iter(fuse(recording, method="increments", clock_offset_us=-3000)))
+    image = next(iter(fuse(recording, method="kalman", clock_offset_us=-3000)))
     assert image.provenance["clock_offset_us"] == -3000
 
 

@@ -348,7 +348,7 @@ def test_light_that_only_flickers_tells_nothing_about_the_gains():
 @pytest.mark.parametrize("options", [
     {"method": "events", "offsets": "redundancy"},
     {"method": "events", "offsets": "redundancy", "causal": True},
-    {"method": "kalman", "bandwidth": (250, 0)}])
+    {"method": "kalman"}])
 @pytest.mark.parametrize("roi", [
     pytest.param((0, 0, 6, 5), marks=pytest.mark.gate), (9, 3, 7, 4)])
 def test_a_region_equals_the_crop_of_the_whole(options, roi):
@@ -379,7 +379,7 @@ def test_light_that_saturates_every_frame_is_measured_by_its_events():
     errors = []
     # Of the first period, of .3 s, thresholds take no trend: all goes on being valid.
     for image in fuse(recording, times_us=np.arange(153_000, 1_540_000, 7_000),
-                      method="kalman", demosaic="superpixel", bandwidth=(250, 0),
+                      method="kalman", demosaic="superpixel",
                       nominal_thresholds=(0.16, 0.18)):
         assert image.valid.mean() > 0.9
         if image.t_us < 1_000_000:
@@ -400,7 +400,7 @@ def test_light_that_is_too_bright_and_still_is_shown_by_its_bound(mode):
     assert not usable.any()
     assert not image.valid.any()
     np.testing.assert_allclose(image.quad, frame.dn.mean() / frame.exposure_ms,
-                               rtol=0.05)
+                               rtol=0.08)
 
 
 def test_dim_light_is_told_by_frames_and_redundancy_together():
@@ -416,7 +416,7 @@ def test_dim_light_is_told_by_frames_and_redundancy_together():
             scorer.add(image)
         return np.array([scorer.score.aop_error, scorer.score.dolp_error])
 
-    assert np.all(errors(method="kalman", thresholds="in-situ") < errors(
+    assert np.all(errors(method="kalman") < errors(
         method="events", offsets="redundancy"))
 
 
@@ -436,7 +436,7 @@ def test_a_macropixel_that_is_partly_saturated_keeps_the_scale_of_its_frames():
                                 layout=recording.info.layout)
     s0 = []
     for image in fuse(cut, times_us=[1_000_000, 1_040_000, 1_090_000],
-                      method="kalman", demosaic="superpixel", bandwidth=(250, 0),
+                      method="kalman", demosaic="superpixel",
                       nominal_thresholds=(0.16, 0.18)):
         assert image.valid.all()
         s0.append(image.s0.mean() / truth.s0(image.t_us))
@@ -553,7 +553,7 @@ def test_a_late_first_frame_that_saturates_loses_no_event_since_its_exposure():
 
     def read(arrives, forget=False):
         made = KalmanFilter((4, 4), theta_on=0.16, theta_off=0.18, mode="causal",
-                            response=response, bandwidth=(250, 0))
+                            response=response)
         end = int(np.searchsorted(events["t"], arrives, "right"))
         for part in np.array_split(events[:0 if forget else end], 5):
             made.add_events(part)

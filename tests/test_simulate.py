@@ -47,10 +47,12 @@ def test_a_short_recording_of_a_slow_polarizer_is_exported(tmp_path):
     path, out = tmp_path / "b.aedat4", tmp_path / "b.npy"
     assert main(["simulate", "polarizer", "--rpm", "10", "--start-deg", "45",
                  "--seconds", "0.6", "-o", str(path)]) == 0
-    assert main(["export", str(path), "-o", str(out), "--fps", "100"]) == 0
+    assert main(["export", str(path), "-o", str(out), "--fps", "100",
+                 "--clock-offset", "none"]) == 0
     images = np.load(out)
     assert len(images) == 59
-    assert np.isfinite(images).all()
+    assert np.isfinite(images[5:]).all()
+    assert np.isfinite(images[0]).mean() > 0.8   # nothing is known of the rest yet
 
 
 @pytest.mark.parametrize("scene", sorted(SCENES))

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from pdavis_cv import Sensor
+from pdavis_cv.pixel.learn import SPREAD
 from pdavis_cv.reconstruct.cf import GAIN_FLOOR
-from pdavis_cv.selfcal.priors import LEAK_HZ
-from pdavis_cv.sensor import NOMINAL_THRESHOLDS, THRESHOLD_SIGMA
+from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 from pdavis_cv.simulation.populations import POPULATIONS
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
@@ -41,13 +41,12 @@ def test_the_table_of_priors_has_the_numbers_of_the_code():
         assert [float(x) for x in re.findall(r"\d*\.?\d+", cells)] == list(values), line
 
     row("`nominal_thresholds`", *NOMINAL_THRESHOLDS)
-    row("`threshold_sigma`", THRESHOLD_SIGMA)
     row("`Sensor.PDAVIS.extinction_ratio`", Sensor.PDAVIS.extinction_ratio)
     row("`Sensor.PDAVIS.mismatch`", gain)
     row("the same, angle", angle)
     row("the same, extinction ratio", ratio)
     row("`Sensor.PDAVIS.offset_dn`", Sensor.PDAVIS.offset_dn)
-    row("`LEAK_HZ`", *LEAK_HZ)
+    row("`SPREAD`", SPREAD)
     assert f"`GAIN_FLOOR` {GAIN_FLOOR}" in page
 
 

@@ -300,11 +300,11 @@ def exported(path, *options):
     """Return AoP of the fan as `pdavis export --bare` shows it, and its image."""
     fan = example_recording("fan")
     assert run("export", fan, "-o", path, "--at", "0.3", "--bare", "--method", "kalman",
-               "--set", "bandwidth=250,0", "--clock-offset", "none", "--quantities",
+               "--set", "mode=offline", "--clock-offset", "none", "--quantities",
                "aop", *options) == 0
     with pdavis_cv.open_recording(fan) as recording:
         image, = pdavis_cv.fuse(
-            recording, method="kalman", bandwidth=(250, 0), clock_offset_us=None,
+            recording, method="kalman", mode="offline", clock_offset_us=None,
             times_us=[recording.info.start_us + 300_000])
     return cv2.imread(str(path)), image
 

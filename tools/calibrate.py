@@ -19,8 +19,7 @@ from pdavis_cv.calibration.frames import dark_frame, flat_frame, frames_of
 from pdavis_cv.calibration.instrument import background
 from pdavis_cv.calibration.layout import detect_layout
 from pdavis_cv.calibration.sweep import SweepFit, fit_sweep, read_sweep, steps_in_time
-from pdavis_cv.fusion import thresholds_in_situ
-from pdavis_cv.selfcal import LEAK_HZ
+from pdavis_cv.fusion.learning import learned_camera
 from pdavis_cv.sensor import CHANNELS, NOMINAL_THRESHOLDS, resolve_layout
 
 from ._calibration_report import Page, write_report
@@ -275,41 +274,28 @@ def _layout(
 def _thresholds(
     recordings: list[Recording], args: argparse.Namespace, known: Calibration
 ) -> Found:
-    found = thresholds_in_situ(
-        recordings[0], nominal=args.nominal, calibration=known, leak_hz=args.leak_hz)
-    sigma = found.sigma
+    found = learned_camera(recordings[0], nominal=args.nominal, calibration=known)
+    model, sigmas, sigma = found.pixels.model, found.pixels.sigmas, found.sigma
     page = Page("Contrast thresholds")
-    for name, plane, error in (("ON", found.theta_on, sigma[0]),
-                               ("OFF", found.theta_off, sigma[1])):
+    for name, plane, error in zip(("ON", "OFF"), found.thetas, sigma, strict=True):
         page.say(f"{name} threshold", f"median {np.median(plane):.4f}, spread "
                  f"{np.std(plane):.4f}, error of one {np.median(error):.4f} ln units")
         page.image(f"{name} threshold", plane)
     page.say("ON/OFF ratio", f"error of one {100 * np.median(found.ratio_sigma):.2f} %")
-    page.say("scale in common",
-             f"error of all {100 * found.common_scale_sigma:.2f} %, in the above")
-    page.say("leak taken out", "{:g} +- {:g} events per second".format(*args.leak_hz))
-    page.histogram("ON/OFF ratio", found.theta_on / found.theta_off)
-    if found.bandwidth is not None:
-        hz, per_dn = found.bandwidth.law
-        page.say("bandwidth", f"{hz:.1f} Hz + {per_dn:.3g} Hz per DN/ms, known to "
-                 f"{100 * found.bandwidth.sigma:.0f} % at "
-                 f"{found.bandwidth.at_intensity:.1f} DN/ms")
-    clock = found.clock_offset
-    if clock is not None:
-        page.say("frames' stamps", f"off by {clock.us / 1000:+.2f} +- "
-                 f"{clock.sigma_us / 1000:.2f} ms"
-                 + ("" if clock.significant else ": not significant"))
-    reset = found.refractory
-    if reset is not None:
-        page.say("refractory period", f"{reset.us:.0f} +- {reset.sigma_us:.0f} us"
-                 if reset.us else "none that frames confirm; shortest gap between two "
-                 f"events of a pixel {reset.sigma_us:.0f} us")
-    jitter = found.jitter
-    if jitter is not None:
-        page.say("events' stamps", "jitter by " + (
-            f"{jitter.us:.0f} us or more: they have lost their order"
-            if jitter.sigma_us >= jitter.us else
-            f"{jitter.us:.0f} +- {jitter.sigma_us:.0f} us at most"))
+    page.histogram("ON/OFF ratio", found.thetas[0] / found.thetas[1])
+    if not sigmas:
+        page.say("note", "too few frames or events: these are the expected values")
+        return measured_parts(found), page
+    page.say("scale in common", f"error of all ON {100 * sigmas['on']:.2f} %, OFF "
+             f"{100 * sigmas['off']:.2f} %, in the above")
+    page.say("bandwidth", "{:.1f} Hz + {:.3g} Hz per DN/ms".format(*model.bandwidth))
+    if model.black:
+        page.say("black level", f"{model.black:.2f} DN/ms")
+    clock_us = found.pixels.clock_offset_us
+    page.say("frames' stamps", f"off by {clock_us / 1000:+.2f} +- "
+             f"{sigmas['shift'] / 1000:.2f} ms" if clock_us else "not off")
+    page.say("refractory period", f"{1e6 * model.dead_s:.0f} us" if model.dead_s
+             else "none that matters")
     return measured_parts(found), page
 
 
@@ -453,10 +439,6 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
         parser.add_argument("--nominal", type=lambda text: tuple(numbers(text, 2)),
                             metavar="ON,OFF", default=NOMINAL_THRESHOLDS,
                             help="expected thresholds, ln units; default 0.2,0.2")
-        parser.add_argument("--leak-hz", type=lambda text: tuple(numbers(text, 2)),
-                            metavar="MEAN,SD", default=LEAK_HZ,
-                            help="leak events per second; default "
-                                 f"{LEAK_HZ[0]:g},{LEAK_HZ[1]:g}")
     if part in ("sweep", "all"):
         parser.add_argument("--angles", type=_floats, metavar="DEG,DEG,...",
                             help="one angle per file; otherwise one file has all steps")

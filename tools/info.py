@@ -14,7 +14,7 @@ import numpy as np
 
 from pdavis_cv import Layout, Sensor
 from pdavis_cv.calibration.thresholds import thresholds_from_biases
-from pdavis_cv.fusion.learning import clock_offset_in_situ
+from pdavis_cv.fusion.learning import learned_pixels
 from pdavis_cv.recording.advice import Advice, advise
 from pdavis_cv.recording.base import Recording, RecordingInfo, Report
 from pdavis_cv.recording.facts import ASSUMED, FILE, Fact, assumptions
@@ -23,6 +23,10 @@ from ._common import Parser, command, in_flags
 from ._options import add_file, add_source_options, opened
 
 __all__ = ["main"]
+
+_LEAST_OFFSET_US = 1000
+"""Least offset of the clocks that is told, us: the pixels' lag looks like a smaller
+one."""
 
 
 @command
@@ -57,15 +61,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _clock(recording: Recording) -> list[Advice]:
     """Return advice if the clocks of frames and events differ."""
-    found = clock_offset_in_situ(recording) if recording.info.frame_count != 0 else None
-    if found is None or not found.significant:
+    if recording.info.frame_count == 0:
+        return []
+    found = learned_pixels(recording)
+    us = found.clock_offset_us
+    if abs(us) < _LEAST_OFFSET_US:
         return []
     return [Advice(
-        "clocks", f"frames' stamps are {abs(found.us) / 1000:.1f} +- "
-        f"{found.sigma_us / 1000:.1f} ms {'early' if found.us > 0 else 'late'} by the "
+        "clocks", f"frames' stamps are {abs(us) / 1000:.1f} +- "
+        f"{found.sigmas['shift'] / 1000:.1f} ms {'early' if us > 0 else 'late'} by the "
         "clock of the events",
-        "method kalman corrects them; for other methods use --clock-offset "
-        f"{found.applied_us}")]
+        f"method kalman corrects them; for other methods use --clock-offset {us:.0f}")]
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -15,6 +15,7 @@ from pdavis_cv.data import example_recording
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.fusion import FusionOptions
 from pdavis_cv.fusion.engine import Fusion
+from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.polarimetry import PolarFrame, polarization
 from pdavis_cv.recording.base import (
     ApsFrame,
@@ -38,8 +39,8 @@ RATES = (33e3, 1e6, 10e6)
 """Events per second: those of a slow scene, of a busy one, and the sensor's most."""
 
 _KNOWN: dict[str, Any] = {
-    "bandwidth": (250.0, 0.0), "noise": (0.02, 0.1, 0.0003),
-    "threshold_sigma": 0.03, "offset_dn": 2.0}
+    "model": PixelModel(theta=np.array([0.2, 0.2]), bandwidth=(250.0, 0.0)),
+    "ratio_sigma": 0.1, "clock_offset_us": 0.0}
 IMAGES: dict[str, tuple[dict[str, Any], float]] = {
     "frames": ({"method": "frames"}, 1.5),
     "cf": ({"method": "cf"}, 3),

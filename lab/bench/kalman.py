@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.fusion import thresholds_in_situ
+from pdavis_cv.fusion.learning import learned_pixels
 from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.recording.memory import recording_from_arrays
@@ -95,9 +95,8 @@ def _buffered() -> Iterator[Comparison]:
     return _add_events("buffered")
 
 
-@case("in-situ", "thresholds in situ at 20 frames/s, against floor_sum", 150,
-      by_time=True)
-def _in_situ() -> Iterator[Comparison]:
+@case("learning", "the camera at 20 frames/s, against floor_sum", 150, by_time=True)
+def _learning() -> Iterator[Comparison]:
     floor = partial(_floor, compiled_floor())
     rng = np.random.default_rng(2)
     frames = [ApsFrame(rng.uniform(50, 900, SHAPE), start, start + 20_000,
@@ -107,7 +106,7 @@ def _in_situ() -> Iterator[Comparison]:
         events = event_input(kind)
         recording = recording_from_arrays(
             events, frames, sensor_size=SHAPE, layout=Layout.PDAVIS)
-        work = partial(thresholds_in_situ, recording, bandwidth=None)
+        work = partial(learned_pixels, recording)
 
         def candidate(work: partial[Any] = work) -> float:
             start = process_time()
@@ -116,8 +115,8 @@ def _in_situ() -> Iterator[Comparison]:
 
         def check(work: partial[Any] = work) -> None:
             found = work()
-            assert np.all(np.isfinite(found.theta_on) & (found.theta_on > 0))
-            assert np.all(np.linalg.eigvalsh(found.covariance) > 0)
+            assert np.all(np.isfinite(found.model.theta) & (found.model.theta > 0))
+            assert np.all(np.linalg.eigvalsh(found.model.theta_cov) > 0)
 
         yield Comparison(kind, check, candidate, partial(floor, _packets(events)),
                          lambda s: 1e3 * s, "ms")

@@ -68,9 +68,9 @@ METHODS: dict[str, Method] = {
         parameters={"method": "events", "offsets": "redundancy"}),
     "cf": Method(parameters={"method": "cf"}),
     "kalman causal": Method(parameters={"method": "kalman", "causal": True}),
-    "kalman": Method(parameters={"method": "kalman", "thresholds": "in-situ"}),
+    "kalman": Method(parameters={"method": "kalman"}),
     "kalman offline": Method(parameters={
-        "method": "kalman", "mode": "offline", "thresholds": "in-situ"}),
+        "method": "kalman", "mode": "offline"}),
 }
 """What is compared; a new way to fuse is a new line here."""
 

@@ -1,7 +1,7 @@
 """Errors of the thresholds' scale from events alone, and when it is accepted.
 
 Checks `_LEAST_FALL`, `_LEAST_GAIN`, `_BIAS` and `_MODEL_SIGMA` of
-``pdavis_cv.selfcal.event_scale``.  The first two must reject what light with structure
+``pdavis_cv.fusion.events_alone``.  The first two must reject what light with structure
 fakes on `nominal` cameras whose thresholds are stated right, and accept what a turning
 polarizer tells of `drawn` and `davis346` cameras, whose thresholds of .26 to .43 are
 stated as .2, if they are off by more than a third.  The others are the mean and the
@@ -19,8 +19,8 @@ import numpy as np
 from common import Found, main
 
 from lab.paper.light import edges
-from pdavis_cv.selfcal import SelfCalibration, event_scale
-from pdavis_cv.selfcal.event_scale import fit_event_scale
+from pdavis_cv.fusion import events_alone
+from pdavis_cv.pixel.sample import PixelSample
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 from pdavis_cv.simulation import Camera, Faults, RotatingPolarizer, Texture
 
@@ -34,10 +34,10 @@ def scale_of(preset, scene, seed, lost=0.0):
     camera = Camera.preset(preset, seed=seed, size=SIZE, **more)
     nominal = (NOMINAL_THRESHOLDS if preset != "nominal"
                else (camera.dvs.theta_on, camera.dvs.theta_off))
-    watch = SelfCalibration(camera.size, nominal, every_pixel=False)
+    watch = PixelSample(camera.size)
     for packet in camera.record(scene, SECONDS)[0].packets():
         watch.add_events(packet.events)
-    found = fit_event_scale(watch._cells, nominal)
+    found = events_alone.event_scale(watch, nominal)
     true = 0.5 * math.log(np.prod([
         camera.maps[f"theta_{part}"].mean() / one
         for part, one in zip(("on", "off"), nominal, strict=True)]))
@@ -72,18 +72,18 @@ def study(quick=False):
              for rpm in (200, 1000) for seed in chips]
     errors = [error for _, error in filter(None, scales + right)]
     print("errors", *(f"{error:+.3f}" for error in errors))
-    least = event_scale._LEAST_FALL
+    least = events_alone._LEAST_FALL
     return [
-        Found("event_scale._LEAST_FALL", max(one.fall for one in structure), least,
+        Found("events_alone._LEAST_FALL", max(one.fall for one in structure), least,
               at_least=True),
-        Found("event_scale._LEAST_GAIN", min(one.gain for one in true),
-              event_scale._LEAST_GAIN, at_most=True),
-        Found("event_scale._LEAST_FALL", min(one.fall for one in true), least,
+        Found("events_alone._LEAST_GAIN", min(one.gain for one in true),
+              events_alone._LEAST_GAIN, at_most=True),
+        Found("events_alone._LEAST_FALL", min(one.fall for one in true), least,
               at_most=True),
-        Found("event_scale._BIAS", event_scale._BIAS - float(np.mean(errors)),
-              event_scale._BIAS, 0.4),
-        Found("event_scale._MODEL_SIGMA", float(np.std(errors)),
-              event_scale._MODEL_SIGMA, 0.4)]
+        Found("events_alone._BIAS", events_alone._BIAS - float(np.mean(errors)),
+              events_alone._BIAS, 0.4),
+        Found("events_alone._MODEL_SIGMA", float(np.std(errors)),
+              events_alone._MODEL_SIGMA, 0.4)]
 
 
 if __name__ == "__main__":

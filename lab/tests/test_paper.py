@@ -72,7 +72,7 @@ def test_the_score_of_the_kalman_method_is_below_the_goal_on_nominal_cameras():
         RotatingPolarizer(rpm=506.5), 2.0)
     got = score(
         Take(recording, truth, 0, truth.stop_us), step_us=5000,
-        method="kalman", thresholds="in-situ", nominal_thresholds=(0.16, 0.18))["all"]
+        method="kalman", nominal_thresholds=(0.16, 0.18))["all"]
     assert got.aop_error < 0.0227     # 1.3 degrees
     assert got.dolp_error < 0.03
 

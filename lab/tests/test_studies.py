@@ -8,9 +8,7 @@ import pytest
 STUDIES = Path(__file__).resolve().parent.parent / "studies"
 NAMES = sorted(path.stem for path in STUDIES.glob("*.py") if path.stem != "common")
 LONG = ("batch", "demosaic_constants", "demosaic_events", "event_scale", "held_cameras",
-        "kalman_ratio_spread", "lamp_detection", "lasting_degree", "selfcal_bandwidth",
-        "selfcal_clock_offset", "selfcal_common_scale", "selfcal_law",
-        "selfcal_least_gain", "selfcal_tails", "selfcal_thresholds")
+        "kalman_ratio_spread", "lamp_detection", "lasting_degree")
 
 
 @pytest.fixture
@@ -25,9 +23,8 @@ def study(monkeypatch):
 
 
 def test_there_are_studies():
-    assert {
-        "adaptive_gain", "denoise", "dolp_bias", "lamp_detection", "selfcal_bandwidth",
-        "selfcal_common_scale", "selfcal_thresholds"} <= set(NAMES)
+    assert {"adaptive_gain", "denoise", "dolp_bias", "event_scale",
+            "lamp_detection", "silences"} <= set(NAMES)
 
 
 @pytest.mark.parametrize("name", [

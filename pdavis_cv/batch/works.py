@@ -23,9 +23,9 @@ from pdavis_cv.recording.base import Recording
 
 if TYPE_CHECKING:   # imported by the workers only
     from pdavis_cv.analysis import LeftOutFrames, Roi, Traces
+    from pdavis_cv.fusion.learning import LearnedCamera
     from pdavis_cv.polarimetry import PolarFrame
     from pdavis_cv.reconstruct.base import Estimate
-    from pdavis_cv.selfcal import CameraEstimate
 
 __all__ = [
     "WORKS",
@@ -274,33 +274,36 @@ class Calibrate:
     ) -> Mapping[str, Any]:
         """Write ``camera.npz``, starting from the ``calibration`` of the options."""
         info, known = recording.info, options.calibration
-        found = pdavis_cv.thresholds_in_situ(
-            recording, nominal=self.nominal, calibration=known)
+        from pdavis_cv.fusion.learning import learned_camera
+
+        found = learned_camera(recording, nominal=self.nominal, calibration=known)
         values = {name: value for name, value in measured_parts(found).items()
                   if value is not None}
         base = known or Calibration(sensor_size=info.sensor_size, serial=info.serial)
         base.merge(Calibration(sensor_size=info.sensor_size, **values)).save(
             folder / "camera.npz")
+        sigmas = found.pixels.sigmas
         return {
-            "theta_on": float(np.median(found.theta_on)),
-            "theta_off": float(np.median(found.theta_off)),
-            "common_scale_sigma": found.common_scale_sigma,
+            "theta_on": float(np.median(found.thetas[0])),
+            "theta_off": float(np.median(found.thetas[1])),
+            "common_scale_sigma": max(
+                (sigmas[name] for name in sigmas if name in ("on", "off")), default=0),
             **{name: value for name, value in values.items() if np.ndim(value) == 0}}
 
 
-def measured_parts(found: CameraEstimate) -> dict[str, Any]:
-    """Return the fields of a Calibration from an estimate; None = not estimated."""
-    sigma = found.sigma
+def measured_parts(found: LearnedCamera) -> dict[str, Any]:
+    """Return the fields of a Calibration from a learned camera; None = not known."""
+    on, off = found.thetas
     values: dict[str, Any] = {
-        "theta_on": found.theta_on, "theta_off": found.theta_off,
-        "theta_on_sigma": sigma[0], "theta_off_sigma": sigma[1]}
-    if found.bandwidth is not None:
-        hz, per_dn = found.bandwidth.law
+        "theta_on": on, "theta_off": off,
+        "theta_on_sigma": found.sigma[0], "theta_off_sigma": found.sigma[1]}
+    sigmas, (hz, per_dn) = found.pixels.sigmas, found.pixels.model.bandwidth
+    if "f0" in sigmas:
         values["bandwidth_hz"] = hz if hz > 0 else None
         values["bandwidth_hz_per_dn"] = per_dn if per_dn > 0 else None
-        values["bandwidth_sigma"] = found.bandwidth.sigma
-    if found.clock_offset is not None and found.clock_offset.significant:
-        values["clock_offset_us"] = found.clock_offset.us
+        values["bandwidth_sigma"] = max(sigmas["f0"], sigmas.get("slope", 0.0))
+    if found.pixels.clock_offset_us:
+        values["clock_offset_us"] = found.pixels.clock_offset_us
     return values
 
 

@@ -145,11 +145,9 @@ class Fusion(Advises):
     def _probe_method(self) -> tuple[Reconstructor, dict[str, Any]]:
         """Make a small method to check its parameters; return it and all parameters."""
         given = dict(self.options.parameters)
-        numbers = {name: value for name, value in given.items()
-                   if not isinstance(value, str) or value != "in-situ"}
         size = self.recording.info.sensor_size
         # Parameters that are maps of the sensor need a method of the sensor's size.
-        if all(np.ndim(value) < 2 for value in numbers.values()):
+        if all(np.ndim(value) < 2 for value in given.values()):
             size = min(size, (2, 2))
         response = response_of(
             self.layout, self.options.calibration, slice(0, size[0]), slice(0, size[1]))
@@ -159,10 +157,10 @@ class Fusion(Advises):
                 self._factory, size, 0.2, 0.2, parameters, response, self._denoise,
                 FusionOptions.facts())
 
-        probe = made(numbers)
+        probe = made(given)
         if self.options.causal and probe.lookahead_us != 0:
             # The caller's parameters override those that make the method causal.
-            probe, given = (made({**probe.causal_parameters, **numbers}),
+            probe, given = (made({**probe.causal_parameters, **given}),
                             {**probe.causal_parameters, **given})
         if self.options.causal and probe.lookahead_us != 0:
             raise ValueError(
@@ -474,7 +472,7 @@ class Fusion(Advises):
                 self._learning, waits=not self.recording.realtime)
         self._state = make_state(
             self._method_factory(), self.window,
-            None if self._online is None else self._online.camera,
+            None if self._online is None else self._online.sample,
             causal=self.options.causal)
         self._set_clock(tuning.clock_us)
         if self.needs.lamp:

@@ -1,68 +1,112 @@
 """Estimation of the camera's parameters that the caller does not state.
 
-A `SelfCalibration` is fed the beginning of a recording before the first image;
+A `PixelSample` is fed the beginning of a recording before the first image;
 `online_learning` feeds it the stream as it passes, with ``causal``.
 """
 from __future__ import annotations
 
 import dataclasses
-import math
+import itertools
 import weakref
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv._types import Parameters
+from pdavis_cv._types import Events, Parameters
 from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.calibration.model import Calibration
-from pdavis_cv.calibration.thresholds import resolve_thresholds, threshold_origin
+from pdavis_cv.calibration.thresholds import (
+    Theta,
+    resolve_thresholds,
+    threshold_origin,
+)
+from pdavis_cv.fusion.events_alone import event_scale, ratio_spread
 from pdavis_cv.fusion.feed import Feed
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.fusion.tuning import Tuning
-from pdavis_cv.pixel.learn import Priors, prior_model
+from pdavis_cv.pixel.learn import LearnedPixels, Priors, learn, prior_model
+from pdavis_cv.pixel.sample import PixelSample
 from pdavis_cv.reconstruct.base import Needs
-from pdavis_cv.reconstruct.kalman import CALIBRATED_NOISE, NOISE
-from pdavis_cv.reconstruct.lamp import LampTracker
+from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.reconstruct.redundancy import RATIO_SIGMA
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
 from pdavis_cv.recording.facts import MEASURED, Fact
-from pdavis_cv.selfcal import (
-    LEAK_HZ,
-    TYPICAL_BANDWIDTH,
-    Bandwidth,
-    CameraEstimate,
-    ClockOffset,
-    SelfCalibration,
-)
-from pdavis_cv.selfcal.estimator import OF_EVENTS, QUANTITIES
-from pdavis_cv.selfcal.noise import LEAST_NOISE
-from pdavis_cv.selfcal.priors import (
-    CLOCK_OFFSET_SIGMA_US,
-    THRESHOLD_SIGMA,
-    USUAL_MISMATCH,
-)
-from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Sensor
+from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 
-__all__ = ["Learning", "bandwidth_in_situ", "clock_offset_in_situ",
-           "thresholds_in_situ"]
+__all__ = ["Learned", "LearnedCamera", "Learning", "learned_camera",
+           "learned_pixels"]
 
-_KNOWN_SIGMA = 0.0005
-"""Prior sigma (ln units) of thresholds from a calibration that states none."""
-
-_COMMON_ERROR = math.sqrt(2)
-"""Factor on the thresholds' sigma.  The ON and OFF thresholds of a pixel share the
-error of their scale; the filter takes the errors as independent, which understates the
-sigma of the scale by this factor."""
-
+_OF_EVENTS = frozenset({"event_scale", "ratio_sigma"})
+"""What is learned from events alone: the scale of the thresholds, and the spread of the
+pixels' ratios of them.  Frames tell "model", or "thresholds" for other methods."""
 
 _STATED_SIGMA, _NOMINAL_SIGMA = 0.05, 0.5
 """Relative error of thresholds that were measured, and of others: those of bias or data
 sheet may be wrong by half."""
 
-_USUAL_CLOCK_US = 0.0, 5000.0
-"""Offset of the frames' clock and its standard deviation, us: seen were -6 to 4 ms."""
+_OWN_ERROR = 0.02
+"""Relative error of a pixel's threshold that the filter's variance lacks: ratios of ON
+and OFF err by .025 (rms) on `nominal` cameras before a polarizer at 30 to 200 RPM."""
+
+_CLOCK_SIGMA_US = 5000.0
+"""Standard deviation of the offset of the frames' clock: seen were -6 to 4 ms."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Learned:
+    """What a stream told; None: it did not, or was not asked.
+
+    Parameters
+    ----------
+    pixels : LearnedPixels or None
+        From frames and events.
+    ratio_sigma : float or None
+        Spread of the pixels' ratios, as `EventRedundancy` takes it.
+    scale : float or None
+        Factor on the thresholds.
+    thetas : ndarray of float64, shape (2, H, W), or None
+        Thresholds of each pixel, ON and OFF.
+    """
+
+    pixels: LearnedPixels | None = None
+    ratio_sigma: float | None = None
+    scale: float | None = None
+    thetas: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedCamera:
+    """A camera as a recording shows it.
+
+    Parameters
+    ----------
+    pixels : LearnedPixels
+        What all pixels have in common; its ``sigmas`` are empty if nothing was told.
+    thetas : ndarray of float64, shape (2, H, W)
+        Contrast thresholds of each pixel, ON and OFF, natural-log units.
+    covariance : ndarray of float64, shape (H, W, 2, 2)
+        Their covariance, with what is common to all.
+    """
+
+    pixels: LearnedPixels
+    thetas: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+    @property
+    def sigma(self) -> NDArray[np.float64]:
+        """Standard deviations of `thetas`."""
+        return np.sqrt(np.moveaxis(np.diagonal(self.covariance, 0, 2, 3), 2, 0))
+
+    @property
+    def ratio_sigma(self) -> NDArray[np.float64]:
+        """Standard deviation of ln(theta_on / theta_off), shape (H, W)."""
+        on, off = self.thetas
+        slope = np.stack([1 / on, -1 / off], -1)
+        return np.asarray(np.sqrt(
+            np.einsum("yxi,yxij,yxj->yx", slope, self.covariance, slope)))
 
 
 class Learning:
@@ -84,7 +128,7 @@ class Learning:
     Raises
     ------
     TypeError, ValueError
-        If thresholds or a bandwidth are requested that are not available.
+        If thresholds are requested that are not available.
     """
 
     def __init__(
@@ -93,138 +137,63 @@ class Learning:
     ) -> None:
         self._lookahead_us = lookahead_us or 0
         self._info, self._calibration = source.info, options.calibration
-        self._needs = needs
+        self._passes = options.causal
         on, off = resolve_thresholds(
             source, options.thresholds, options.nominal_thresholds, self._calibration)
-        given = dict(parameters)
-        if "bandwidth" in needs.learned and given.get("bandwidth") == "in-situ":
-            del given["bandwidth"]
-        elif "bandwidth" in needs.learned and isinstance(given.get("bandwidth"), str):
-            raise ValueError(
-                "bandwidth must be 'in-situ', (hz, hz_per_intensity) or None, got "
-                f"{given['bandwidth']!r}")
-        known = {**self._of_calibration(options), **given}
+        known = dict(parameters)
         wanted = set(needs.learned - known.keys())
-        # Others that are wanted below only tell how certain these are.
-        self._learned = frozenset(wanted)
-        if needs.frames and wanted <= {"jitter_us", "ratio_sigma", "refractory_us"}:
-            wanted = set()      # alone they do not justify reading ahead
+        unknown = options.thresholds is None and (
+            self._calibration is None or self._calibration.theta_on is None)
+        if needs.frames and wanted <= {"ratio_sigma"}:
+            wanted = set()      # alone it does not justify reading ahead
         if "model" in wanted:
-            pass                # it has thresholds and their spread
+            pass                # it has the thresholds
         elif options.thresholds == "in-situ":
-            # Thresholds of each pixel need a window of data that a passing stream
-            # does not keep.
-            wanted.add("scale" if options.causal else "thresholds")
             # Known thresholds have another spread than those that are stated.
-            wanted.discard("ratio_sigma")
-        elif wanted and needs.frames and options.thresholds is None and (
-                self._calibration is None or self._calibration.theta_on is None):
-            wanted.add("scale")     # biases or data sheet give it only roughly
-            if "threshold_sigma" in needs.prior and "threshold_sigma" not in known:
-                wanted.add("ratio_sigma")   # how far pixels are from that scale
-        elif "ratio_sigma" in wanted and options.thresholds is None and (
-                self._calibration is None or self._calibration.theta_on is None):
+            wanted = {"thresholds"}
+        elif "ratio_sigma" in wanted and unknown:
             wanted.add("event_scale")
-        clock = _stated_clock(options)
-        if needs.learned and needs.frames and clock is None:
-            wanted.add("clock_offset")
-        self.wanted = frozenset(
-            wanted if source.info.frame_count != 0
-            else wanted & OF_EVENTS & (needs.learned | {"event_scale"}))
-        self.uses_frames = not self.wanted <= OF_EVENTS
+        if source.info.frame_count == 0:
+            wanted &= _OF_EVENTS
+        self.wanted = frozenset(wanted)
+        self.uses_frames = not self.wanted <= _OF_EVENTS
         self.thresholds = Fact((on, off), MEASURED if self.wanted & {
-            "scale", "thresholds", "model"} else threshold_origin(
+            "model", "thresholds"} else threshold_origin(
                 source, options.thresholds, options.nominal_thresholds,
                 self._calibration))
-        self._stated = _stated_bandwidth(self._calibration)
-        self._learns = None
-        if "model" in needs.learned:
-            self._learns = self._priors(options, (off, on), clock)
-            if "model" not in known:
-                known["model"] = prior_model(self._learns, self._lookahead_us)
-        if "bandwidth" in wanted:
-            # Images follow before any estimate: start from a typical camera's value.
-            known["bandwidth"] = self._stated or (
-                TYPICAL_BANDWIDTH if options.causal else None)
-        if "refractory_us" in wanted:
-            known["refractory_us"] = 0.0
-        if "jitter_us" in wanted:
-            known["jitter_us"] = 0.0
-        if "noise" in wanted:
-            known["noise"] = self._noise(0.0)
-        if "ratio_sigma" in wanted & self._learned:
+        stated = _stated_clock(options)
+        clock = (0.0, _CLOCK_SIGMA_US) if stated is None else (stated, 0.0)
+        self._priors = _priors(options.thresholds, self._calibration, on, off, clock)
+        if "model" in needs.learned and "model" not in known:
+            known["model"] = prior_model(self._priors, self._lookahead_us)
+        if "ratio_sigma" in self.wanted:
             known["ratio_sigma"] = RATIO_SIGMA
-        self.prior = Tuning(on, off, known, clock or ClockOffset(
-            0.0, CLOCK_OFFSET_SIGMA_US))
+        self.prior = Tuning(on, off, known, round(clock[0]), clock[1])
 
-    def _priors(
-        self, options: FusionOptions, thetas: tuple[ArrayLike, ArrayLike],
-        clock: ClockOffset | None,
-    ) -> Priors:
-        """Return what is known of the pixels beforehand."""
-        calibration, chosen = self._calibration, options.thresholds
-        measured = chosen is not None and not isinstance(chosen, str)
-        if chosen in (None, "calibration") and not measured:
-            measured = calibration is not None and calibration.theta_on is not None
-        law = self._stated or (None if calibration is None else (
-            calibration.bandwidth_hz or 0.0, calibration.bandwidth_hz_per_dn or 0.0,
-            0.0))
-        return Priors(
-            theta=(float(np.asarray(thetas[0], float).mean()),
-                   float(np.asarray(thetas[1], float).mean())),
-            theta_sigma=_STATED_SIGMA if measured else _NOMINAL_SIGMA,
-            clock_us=_USUAL_CLOCK_US if clock is None else (clock.us, 0.0),
-            **({} if law is None or not any(law) else {
-                "bandwidth": law[:2], "bandwidth_sigma": (law[2], law[2])}))
+    def sample(self) -> PixelSample:
+        """Return what the stream is fed to, empty."""
+        return PixelSample(self._info.sensor_size)
 
-    def _of_calibration(self, options: FusionOptions) -> dict[str, Any]:
-        """Return the parameters known from calibration and sensor.
-
-        A bandwidth that comes with a standard error is left out: it is a prior only.
-        """
-        needs, calibration = self._needs, self._calibration
-        known: dict[str, Any] = {}
-        if "offset_dn" in needs.prior and (
-                calibration is None or calibration.dark is None):
-            known["offset_dn"] = (self._info.sensor or Sensor.PDAVIS).offset_dn
-        if calibration is None:
-            return known
-        hz, per_dn = calibration.bandwidth_hz, calibration.bandwidth_hz_per_dn
-        if "bandwidth" in needs.learned and calibration.bandwidth_sigma is None and (
-                hz is not None or per_dn is not None):
-            known["bandwidth"] = (hz or 0.0, per_dn or 0.0)
-        if "threshold_sigma" in needs.prior and calibration.theta_on is not None and (
-                options.thresholds is None or options.thresholds == "calibration"):
-            on, off = calibration.theta_on_sigma, calibration.theta_off_sigma
-            known["threshold_sigma"] = (
-                _KNOWN_SIGMA if on is None or off is None
-                else _COMMON_ERROR * np.stack([on, off]).astype(np.float64))
-        return known
-
-    def estimator(self) -> SelfCalibration:
-        """Return a new estimator, to which nothing has been fed."""
-        return SelfCalibration(
-            self._info.sensor_size, (self.prior.theta_on, self.prior.theta_off),
-            sensor=self._info.sensor, stated_bandwidth=self._stated,
-            dark=self._calibration is not None and self._calibration.dark is not None,
-            every_pixel="thresholds" in self.wanted,
-            learns=self._learns if "model" in self.wanted else None)
-
-    def estimate(
-        self, camera: SelfCalibration, before: Tuning | None = None,
-    ) -> CameraEstimate:
-        """Return the estimate of an estimator that was fed, after an earlier one."""
-        wanted = set(self.wanted)
-        if "model" in wanted:
-            return camera.estimate(
-                wanted=wanted, clock_offset_us=self.prior.clock_us,
-                lookahead_us=self._lookahead_us,
-                before=None if before is None else before.parameters.get("model"))
-        if self.uses_frames and "bandwidth" not in self.prior.parameters:
-            wanted.add("bandwidth")      # the thresholds need it, if not the method
-        return camera.estimate(
-            wanted=wanted, bandwidth=self.prior.parameters.get("bandwidth"),
-            clock_offset_us=self.prior.clock_us)
+    def estimate(self, sample: PixelSample, before: Tuning | None = None) -> Learned:
+        """Return what a sample tells, after an earlier one."""
+        nominal, wanted = (self.prior.theta_on, self.prior.theta_off), self.wanted
+        spread = ratio_spread(sample, nominal) if "ratio_sigma" in wanted else None
+        pixels = None
+        if self.uses_frames:
+            known = None if before is None else before.parameters.get("model")
+            pixels = learn(sample, self._priors, self._lookahead_us, known)
+        scale = None
+        stated = self._priors.theta_sigma == _STATED_SIGMA
+        if "event_scale" in wanted or (
+                pixels is not None and pixels.told and not stated):
+            scale = event_scale(sample, nominal)
+        if scale is not None and not scale.significant:
+            scale = None
+        if pixels is not None and scale is not None:
+            pixels = pixels.scaled(scale.factor, scale.sigma)
+        return Learned(
+            pixels=pixels, ratio_sigma=None if spread is None else spread.sigma,
+            scale=None if scale is None else scale.factor)
 
     def beginning(self, source: Source, packets: Iterator[Packet]) -> Tuning:
         """Return the tuning estimated from the beginning of a source.
@@ -236,299 +205,190 @@ class Learning:
         source : Source
             The stream to reconstruct.
         packets : iterator of Packet
-            Packets of the source; read as far as the estimator's window reaches.
+            Packets of the source; read as far as the sample's window reaches.
         """
         if not self.wanted:
             return self.prior
         kept = _kept.setdefault(source, {})
-        key = self._key()
+        key = (self.wanted, id(self._calibration), self._priors, self._lookahead_us,
+               *(np.asarray(theta, np.float64).tobytes()
+                 for theta in (self.prior.theta_on, self.prior.theta_off)))
         if key not in kept:
-            camera = self.estimator()
-            _feed_estimator(camera, source, packets, self._calibration,
-                            (self.prior.theta_on, self.prior.theta_off),
-                            with_frames=self.uses_frames)
             # The calibration is kept too, as its identity is part of the key.
-            kept[key] = self.estimate(camera), self._calibration
+            kept[key] = self._of_beginning(source, packets), self._calibration
         return self.tuned(self.prior, kept[key][0])
 
-    def _key(self) -> tuple[Any, ...]:
-        bandwidth = self.prior.parameters.get("bandwidth")
-        return (self.wanted, id(self._calibration), self.prior.clock_us,
-                self._learns and (self._learns, self._lookahead_us),
-                None if bandwidth is None else tuple(bandwidth),
-                "bandwidth" in self.prior.parameters,
-                *(np.asarray(theta, np.float64).tobytes()
-                  for theta in (self.prior.theta_on, self.prior.theta_off)))
+    def _of_beginning(self, source: Source, packets: Iterator[Packet]) -> Learned:
+        sample = self.sample()
+        packets, again = itertools.tee(packets)
+        if "thresholds" not in self.wanted:
+            again = iter(())
+        for _ in _fed(sample, source, packets, self._calibration,
+                              with_frames=self.uses_frames):
+            pass
+        found = self.estimate(sample)
+        if "thresholds" in self.wanted and found.pixels is not None:
+            thetas, _ = _of_each_pixel(
+                found.pixels, source, again, self._calibration,
+                (self.prior.theta_on, self.prior.theta_off))
+            found = dataclasses.replace(found, thetas=thetas)
+        return found
 
-    def tuned(self, tuning: Tuning, estimate: CameraEstimate) -> Tuning:
+    def tuned(self, tuning: Tuning, found: Learned) -> Tuning:
         """Return a tuning in which an estimate replaces the parameters it gives."""
-        found: dict[str, Any] = {}
-        if "model" in self.wanted and estimate.pixels is not None:
-            found["model"] = estimate.pixels.model
-        if "bandwidth" in self.wanted and estimate.bandwidth is not None:
-            found["bandwidth"] = (*estimate.bandwidth.law, estimate.bandwidth.sigma)
-        if "noise" in self.wanted and estimate.noise is not None:
-            found["noise"] = self._noise(estimate.noise)
-        if "ratio_sigma" in self._learned & self.wanted and (
-                estimate.ratio_spread is not None):
-            found["ratio_sigma"] = estimate.ratio_spread.sigma
-        scaled = estimate.common_scale_sigma > 0 and not (
-            self.wanted.isdisjoint({"scale", "event_scale"}))
-        if "refractory_us" in self.wanted and estimate.refractory is not None:
-            found["refractory_us"] = estimate.refractory.us
-        if "jitter_us" in self.wanted and estimate.jitter is not None:
-            found["jitter_us"] = estimate.jitter.us
-        if "thresholds" in self.wanted or scaled:
+        changes: dict[str, Any] = {}
+        if found.ratio_sigma is not None:
+            changes["ratio_sigma"] = found.ratio_sigma
+        thetas: tuple[Theta, Theta] | None = None
+        stated = self.prior.theta_on, self.prior.theta_off
+        if "event_scale" in self.wanted and found.scale is not None:
+            thetas = _scaled(stated, (found.scale, found.scale))
+        if found.thetas is not None:
+            on, off = found.thetas.astype(np.float32)
+            thetas = on, off
+        elif "thresholds" in self.wanted and found.pixels is not None:
+            mean_off, mean_on = found.pixels.model.thresholds
+            thetas = _scaled(stated, (mean_on / np.mean(stated[0]),
+                                      mean_off / np.mean(stated[1])))
+        if thetas is not None:
             tuning = dataclasses.replace(
-                tuning, theta_on=estimate.theta_on.astype(np.float32),
-                theta_off=estimate.theta_off.astype(np.float32))
-            if "threshold_sigma" in self._needs.prior:
-                found["threshold_sigma"] = self.prior.parameters.get(
-                    "threshold_sigma", _sigma_of(estimate))
-        elif "scale" in self.wanted and (estimate.nominal_sigma > 0 or (
-                "refractory_us" in found and not tuning.has_thresholds_of(self.prior))):
-            # They are those stated, if the scale agrees.  If an earlier estimate moved
-            # it, that was on less data, or it did not yet account for the refractory
-            # period.
-            tuning = dataclasses.replace(
-                tuning, theta_on=self.prior.theta_on, theta_off=self.prior.theta_off)
-            if "threshold_sigma" in self._needs.prior:
-                found["threshold_sigma"] = self.prior.parameters.get(
-                    "threshold_sigma", _sigma_of_nominal(estimate))
-        if estimate.clock_offset is not None:
-            tuning = dataclasses.replace(tuning, clock=estimate.clock_offset)
-        return tuning.changed(**found)
-
-    def _noise(self, of_events: float) -> tuple[float, ...]:
-        """Return `noise` of `KalmanFilter` with the estimated noise of events.
-
-        The lowest grid value means "at or below the default", which is then kept.
-        """
-        exact = self._calibration is not None and self._calibration.analyser is not None
-        sigma, per_s, *rest = CALIBRATED_NOISE if exact else NOISE
-        return sigma, of_events if of_events > LEAST_NOISE else per_s, *rest
+                tuning, theta_on=thetas[0], theta_off=thetas[1])
+        if "model" in self.wanted and found.pixels is not None:
+            changes["model"] = found.pixels.model
+            sigma = found.pixels.sigmas.get("shift", _CLOCK_SIGMA_US)
+            if sigma <= tuning.clock_sigma_us:      # 0: it was stated
+                tuning = dataclasses.replace(
+                    tuning, clock_us=round(found.pixels.clock_offset_us),
+                    clock_sigma_us=sigma)
+        return tuning.changed(**changes)
 
 
 _kept: weakref.WeakKeyDictionary[
-    Source, dict[tuple[Any, ...], tuple[CameraEstimate, Calibration | None]]
+    Source, dict[tuple[Any, ...], tuple[Learned, Calibration | None]]
 ] = weakref.WeakKeyDictionary()
 
 
-def _sigma_of(estimate: CameraEstimate) -> NDArray[np.float64]:
-    """Return threshold_sigma for a filter that takes ON and OFF errors as independent.
+def learned_pixels(
+    recording: Recording, *,
+    nominal: tuple[ArrayLike, ArrayLike] = NOMINAL_THRESHOLDS,
+    calibration: Calibration | None = None,
+) -> LearnedPixels:
+    """Return what all pixels of a camera have in common, as frames and events show it.
 
-    The ratio ON / OFF is known far better than the scale, so the independent errors are
-    chosen to give the ratio its standard error.  Where only the common scale has been
-    estimated, pixels differ from it by the usual mismatch.  Shape (2, H, W).
+    Parameters
+    ----------
+    recording : Recording
+        Of which at most 10 s are read.
+    nominal : (on, off)
+        Thresholds that are expected, scalars or (H, W).
+    calibration : Calibration, optional
+        Its dark, gain and clip level are applied to the frames.
     """
-    relative = (
-        _COMMON_ERROR * math.hypot(USUAL_MISMATCH, estimate.common_scale_sigma)
-        if estimate.covariance is None else estimate.ratio_sigma / math.sqrt(2))
-    return np.stack([estimate.theta_on, estimate.theta_off]) * relative
+    sample = PixelSample(recording.info.sensor_size)
+    for _ in _fed(sample, recording, recording.packets(), calibration):
+        pass
+    on, off = nominal
+    return learn(sample, Priors(
+        theta=(_mean(off), _mean(on)), theta_sigma=_NOMINAL_SIGMA,
+        clock_us=(0.0, _CLOCK_SIGMA_US)), 0)
 
 
-def _sigma_of_nominal(estimate: CameraEstimate) -> float | NDArray[np.float64]:
-    """Return threshold_sigma of stated thresholds, as far as their scale is known.
+def learned_camera(
+    recording: Recording, *,
+    nominal: tuple[ArrayLike, ArrayLike] = NOMINAL_THRESHOLDS,
+    calibration: Calibration | None = None,
+) -> LearnedCamera:
+    """Return the camera that took a recording, with the thresholds of each pixel.
 
-    The spread of the pixels' ratios is that of independent errors of ON and OFF; until
-    it is known, it has the prior that `EventRedundancy` starts from.  Shape (2, H, W).
+    The parameters are those of `learned_pixels`; the light must change.
     """
-    if not estimate.nominal_sigma:
-        return THRESHOLD_SIGMA
-    spread = estimate.ratio_spread
-    mismatch = (RATIO_SIGMA if spread is None else spread.sigma) / math.sqrt(2)
-    return np.stack([estimate.theta_on, estimate.theta_off]) * (
-        _COMMON_ERROR * math.hypot(mismatch, estimate.nominal_sigma))
+    found = learned_pixels(recording, nominal=nominal, calibration=calibration)
+    thetas, covariance = _of_each_pixel(
+        found, recording, recording.packets(), calibration, nominal)
+    for i, theta in enumerate(thetas):
+        covariance[..., i, i] += (_OWN_ERROR * theta) ** 2
+    return LearnedCamera(found, thetas, covariance)
 
 
-def _stated_clock(options: FusionOptions) -> ClockOffset | None:
-    """Return the stated offset of the frames' clock, None if it is to be estimated."""
-    stated = options.clock_offset_us
-    if stated == "learned":
-        known = options.calibration
-        if known is None or known.clock_offset_us is None:
-            return None
-        stated = known.clock_offset_us
-    return ClockOffset(0.0 if stated is None else float(stated), 0.0)
-
-
-def _stated_bandwidth(
-    calibration: Calibration | None
-) -> tuple[float, float, float] | None:
-    """Return (hz, hz_per_intensity, sigma); None if no bandwidth or sigma is stated."""
-    if calibration is None or calibration.bandwidth_sigma is None:
-        return None
-    hz, per_dn = calibration.bandwidth_hz, calibration.bandwidth_hz_per_dn
-    if hz is None and per_dn is None:
-        return None
-    return hz or 0.0, per_dn or 0.0, calibration.bandwidth_sigma
-
-
-def _feed_estimator(
-    camera: SelfCalibration, source: Source, packets: Iterator[Packet],
-    calibration: Calibration | None, thresholds: tuple[ArrayLike, ArrayLike],
-    start_us: int | None = None, stop_us: int | None = None, with_frames: bool = True,
-) -> None:
-    """Feed frames, events and the lamp to an estimator until its window is full."""
-    lamp = LampTracker(source.info.sensor_size, *thresholds)
+def _fed(
+    sample: PixelSample, source: Source, packets: Iterator[Packet],
+    calibration: Calibration | None, *, clock_us: int = 0, with_frames: bool = True,
+) -> Iterator[ApsFrame | Events]:
+    """Feed frames and events to a sample until it is full; yield them."""
     feed = Feed(packets, by_arrival=False, has_frames=source.info.frame_count != 0,
-                after_us=None if start_us is None else start_us - 1,
-                frames_after_us=start_us)
+                clock_us=clock_us)
     corrected = FrameCorrection(calibration)
-    for item in feed.until(stop_us):
-        if isinstance(item, ApsFrame):
-            if with_frames:
-                camera.add_frame(corrected(item))
-        else:
-            for wave in lamp.push(item):
-                camera.add_wave(wave)
-            camera.add_events(item)
-        if camera.full or (not with_frames and camera.full_without_frames):
+    for item in feed.until(None):
+        if not isinstance(item, ApsFrame):
+            sample.add_events(item)
+            yield item
+        elif with_frames:
+            frame = corrected(item)
+            sample.add_frame(frame)
+            yield frame
+        if sample.full:
             return
 
 
-def thresholds_in_situ(
-    recording: Recording,
-    *,
-    nominal: tuple[ArrayLike, ArrayLike] = NOMINAL_THRESHOLDS,
-    sigma: float = THRESHOLD_SIGMA,
-    bandwidth: Bandwidth | str | None = "in-situ",
-    calibration: Calibration | None = None,
-    leak_hz: tuple[float, float] = LEAK_HZ,
-    start_us: int | None = None,
-    stop_us: int | None = None,
-) -> CameraEstimate:
-    """Estimate each pixel's thresholds from its events and the de-blurred frames.
+def _of_each_pixel(
+    found: LearnedPixels, source: Source, packets: Iterator[Packet],
+    calibration: Calibration | None, nominal: tuple[ArrayLike, ArrayLike],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return thresholds of all pixels as the filter learns them, and covariances.
 
-    The difference between two frames must be theta_on N_on - theta_off N_off; a
-    Kalman filter per pixel combines all frames.  The distribution of the thresholds
-    over the chip is then estimated from all pixels and serves as their prior (empirical
-    Bayes), so that a pixel with few data stays near the others and near `nominal`.
-
-    Parameters
-    ----------
-    recording : Recording
-        With frames and events; the light must change.
-    nominal : (on, off)
-        Expected thresholds, scalars or (H, W).
-    sigma : float
-        Prior standard deviation of a pixel's thresholds, natural-log units.
-    bandwidth : Bandwidth, "in-situ" or None
-        Bandwidth of the photoreceptors; "in-situ" estimates it first, and None
-        neglects the lag.
-    calibration : Calibration, optional
-        Its dark, gain and clip level are applied to the frames.
-    leak_hz : (float, float)
-        Leak events of a pixel per second, mean and standard deviation.  The mean is
-        subtracted and the standard deviation adds to the uncertainty, as light from a
-        rotating polarizer does not determine the leak.
-    start_us, stop_us : int, optional
-        The part of the recording to use, of which at most 10 s and 5 million events
-        are read; default: from the beginning.
-
-    Returns
-    -------
-    CameraEstimate
-
-    Raises
-    ------
-    ValueError
-        If ``sigma`` is not positive, ``bandwidth`` is another word, or ``leak_hz`` is
-        not two numbers of at least 0.
+    It passes once over what the camera was learned from; where that told nothing, they
+    are the nominal ones.
     """
-    if not sigma > 0:
-        raise ValueError(f"sigma must be positive, got {sigma}")
-    if isinstance(bandwidth, str) and bandwidth != "in-situ":
-        raise ValueError(
-            f"bandwidth must be 'in-situ', a Bandwidth or None, got {bandwidth!r}")
-    camera = _fed_estimator(recording, nominal, calibration, start_us, stop_us,
-                            leak_hz=leak_hz, threshold_sigma=sigma)
-    if isinstance(bandwidth, str):
-        return camera.estimate(wanted=QUANTITIES)
-    found = camera.estimate(wanted=QUANTITIES - {"bandwidth"}, bandwidth=(
-        None if bandwidth is None else (*bandwidth.law, bandwidth.sigma)))
-    return dataclasses.replace(found, bandwidth=bandwidth)
+    sample = PixelSample(source.info.sensor_size)
+    one = KalmanFilter(
+        sample.shape, theta_on=nominal[0], theta_off=nominal[1], mode="causal",
+        model=found.model)
+    for item in _fed(
+            sample, source, iter(()) if found.told else packets, calibration,
+            clock_us=round(found.clock_offset_us)):
+        if isinstance(item, ApsFrame):
+            one.add_frame(item)
+        else:
+            one.add_events(item)
+    return one.thresholds
 
 
-def bandwidth_in_situ(
-    recording: Recording,
-    *,
-    nominal: tuple[ArrayLike, ArrayLike] = NOMINAL_THRESHOLDS,
-    calibration: Calibration | None = None,
-    start_us: int | None = None,
-    stop_us: int | None = None,
-) -> Bandwidth | None:
-    """Estimate the bandwidth of the photoreceptors from frames and events alone.
-
-    Frames have no lag, so the estimate is the bandwidth with which the events of a
-    sample of busy pixels agree best with them.  It may be constant, proportional to
-    the intensity, or anything between.
-
-    Parameters
-    ----------
-    recording : Recording
-        With frames and events; the light must change.
-    nominal : (on, off)
-        Expected thresholds, scalars or (H, W).
-    calibration : Calibration, optional
-        Its dark, gain and clip level are applied to the frames.
-    start_us, stop_us : int, optional
-        The part to look at; as for `thresholds_in_situ`.
-
-    Returns
-    -------
-    Bandwidth or None
-        None if there are too few frames or events for an estimate.
-    """
-    return _fed_estimator(
-        recording, nominal, calibration, start_us, stop_us, every_pixel=False).estimate(
-            wanted={"bandwidth", "clock_offset"}).bandwidth
+def _priors(
+    chosen: str | tuple[ArrayLike, ArrayLike] | None, calibration: Calibration | None,
+    on: ArrayLike, off: ArrayLike, clock_us: tuple[float, float],
+) -> Priors:
+    """Return what is known of the pixels beforehand."""
+    measured = chosen is not None and not isinstance(chosen, str)
+    if chosen in (None, "calibration") and not measured:
+        measured = calibration is not None and calibration.theta_on is not None
+    law = None if calibration is None else (
+        calibration.bandwidth_hz or 0.0, calibration.bandwidth_hz_per_dn or 0.0)
+    told = 0.0 if calibration is None else calibration.bandwidth_sigma or 0.0
+    return Priors(
+        theta=(_mean(off), _mean(on)),
+        theta_sigma=_STATED_SIGMA if measured else _NOMINAL_SIGMA,
+        clock_us=clock_us,
+        **({} if law is None or not any(law) else {
+            "bandwidth": law, "bandwidth_sigma": (told, told)}))
 
 
-def clock_offset_in_situ(
-    recording: Recording,
-    *,
-    nominal: tuple[ArrayLike, ArrayLike] = NOMINAL_THRESHOLDS,
-    calibration: Calibration | None = None,
-    start_us: int | None = None,
-    stop_us: int | None = None,
-) -> ClockOffset | None:
-    """Estimate the offset between the frames' time stamps and the clock of the events.
-
-    A clock offset shows as events that trail the frames equally at all intensities and
-    speeds.  The lag of the photoreceptors looks nearly the same; it is assumed to be
-    the usual one, unless it can be seen to depend on the light.
-
-    Parameters
-    ----------
-    recording : Recording
-        With frames and events; the light must change.
-    nominal : (on, off)
-        Expected thresholds, scalars or (H, W); their common scale is found too.
-    calibration : Calibration, optional
-        Its dark, gain and clip level are applied to the frames.
-    start_us, stop_us : int, optional
-        The part to look at; as for `thresholds_in_situ`.
-
-    Returns
-    -------
-    ClockOffset or None
-        None if there are too few frames or events for an estimate, or if a lamp
-        flickers, because its events hide the timing of the scene's.
-    """
-    return _fed_estimator(
-        recording, nominal, calibration, start_us, stop_us, every_pixel=False).estimate(
-            wanted={"bandwidth", "scale", "clock_offset"}).clock_offset
+def _mean(theta: ArrayLike) -> float:
+    return float(np.asarray(theta, np.float64).mean())
 
 
-def _fed_estimator(
-    recording: Recording, nominal: tuple[ArrayLike, ArrayLike],
-    calibration: Calibration | None, start_us: int | None, stop_us: int | None,
-    **options: Any,
-) -> SelfCalibration:
-    camera = SelfCalibration(
-        recording.info.sensor_size, nominal, sensor=recording.info.sensor,
-        dark=calibration is not None and calibration.dark is not None, **options)
-    _feed_estimator(camera, recording, recording.packets(start_us), calibration,
-                    nominal, start_us, stop_us)
-    return camera
+def _scaled(
+    thetas: tuple[Theta, Theta], factors: tuple[float, float],
+) -> tuple[Theta, Theta]:
+    on, off = (theta * np.float32(factor) if isinstance(theta, np.ndarray)
+               else theta * float(factor)
+               for theta, factor in zip(thetas, factors, strict=True))
+    return on, off
+
+
+def _stated_clock(options: FusionOptions) -> float | None:
+    """Return the stated offset of the frames' clock, None if it is to be learned."""
+    stated = options.clock_offset_us
+    if isinstance(stated, str):
+        known = options.calibration
+        return None if known is None else known.clock_offset_us
+    return 0.0 if stated is None else float(stated)

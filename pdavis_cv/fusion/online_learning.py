@@ -1,18 +1,11 @@
 """Estimation of the camera's parameters again and again while a stream passes."""
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-import numpy as np
-
 from pdavis_cv._types import State
-from pdavis_cv.fusion.learning import Learning
-from pdavis_cv.reconstruct.stream_clock import checked_bandwidth
-from pdavis_cv.selfcal import Bandwidth, CameraEstimate
-from pdavis_cv.selfcal.refractory import Refractory
+from pdavis_cv.fusion.learning import Learned, Learning
 
 __all__ = ["FIRST_LOOK_S", "OnlineLearning"]
 
@@ -29,21 +22,11 @@ are predicted with an error of 0.359 if it is applied at T + T / 8, of 0.358 at 
 _AGAIN_US = 20_000
 """Stream time after which an estimate that is not there is asked for again, us."""
 
-_WORTHWHILE = 0.05
-"""Least change of a parameter that is applied: of the ln of the corner frequency, or
-relative to the refractory period."""
-
-_LEVELS = np.array([1.0, 10.0])
-"""Intensities at which bandwidths are compared, relative to `Bandwidth.at_intensity`:
-dim light, and a bright pixel's."""
-
-_SIGMAS = 3.0
-"""Least change of the refractory period that is applied, in standard errors."""
 
 class OnlineLearning:
     """Re-estimates the parameters while a stream passes.
 
-    The estimator is fed the same data as the method.  At a look, the estimate from the
+    A sample is fed the same data as the method.  At a look, the estimate from the
     data so far is started in a thread, and it is applied after an eighth of their time
     more.  The method's state then continues with the new tuning: past data are not
     processed again.
@@ -61,8 +44,8 @@ class OnlineLearning:
     ----------
     tuning : Tuning
         Parameters that apply now.
-    camera : SelfCalibration
-        What events, frames and the lamp's flicker are added to.
+    sample : PixelSample
+        What events and frames are added to.
     next_us : int or None
         Time at which `look` is due.
     """
@@ -70,11 +53,11 @@ class OnlineLearning:
     def __init__(self, learning: Learning, *, waits: bool = True) -> None:
         self._learning, self._waits = learning, waits
         self.tuning = learning.prior
-        self.camera = learning.estimator()
+        self.sample = learning.sample()
         self.next_us: int | None = None
         self._start_us: int | None = None
         self._looks = 0
-        self._pending: Future[CameraEstimate] | None = None
+        self._pending: Future[Learned] | None = None
 
     def begin(self, start_us: int, now_us: int) -> None:
         """Count the time of the looks from start_us, if this is the first call.
@@ -111,34 +94,20 @@ class OnlineLearning:
         if not (self._waits or self._pending.done()):
             self.next_us += _AGAIN_US
             return {}
-        estimate, self._pending = self._pending.result(), None
-        clock = estimate.clock_offset
-        if clock is not None and clock.ambiguous:
-            estimate = dataclasses.replace(estimate, bandwidth=None)
-        if clock is not None and clock.sigma_us > before.clock.sigma_us:
-            estimate, clock = dataclasses.replace(estimate, clock_offset=None), None
-        if estimate.refractory is not None and not _differs(
-                estimate.refractory, before.parameters.get("refractory_us", 0.0)):
-            estimate = dataclasses.replace(estimate, refractory=None)
-        moved = clock is not None and clock.applied_us != before.clock_us
-        # A bandwidth that was estimated with other time stamps is outdated.
-        known = before.parameters.get("bandwidth")
-        if (estimate.bandwidth is not None and known is not None and not moved
-                and not _is_better(estimate.bandwidth, checked_bandwidth(known))):
-            estimate = dataclasses.replace(estimate, bandwidth=None)
-        self.tuning = self._learning.tuned(before, estimate)
+        found, self._pending = self._pending.result(), None
+        self.tuning = self._learning.tuned(before, found)
         self._look_from(self.next_us + 1)
         return self.tuning.changes(before)
 
-    def _started(self) -> Future[CameraEstimate]:
+    def _started(self) -> Future[Learned]:
         """Start an estimate from the data so far, in a thread."""
-        passed, before = self.camera.state(), self.tuning
+        passed, before = self.sample.state(), self.tuning
 
-        def estimated() -> CameraEstimate:
+        def estimated() -> Learned:
             """Estimate from a copy, as the original is fed meanwhile."""
-            camera = self._learning.estimator()
-            camera.restore(passed)
-            return self._learning.estimate(camera, before)
+            sample = self._learning.sample()
+            sample.restore(passed)
+            return self._learning.estimate(sample, before)
 
         one = ThreadPoolExecutor(1, "pdavis-learning")
         future = one.submit(estimated)
@@ -150,7 +119,7 @@ class OnlineLearning:
         return {"tuning": self.tuning, "next_us": self.next_us,
                 "start_us": self._start_us, "looks": self._looks,
                 "pending": None if self._pending is None else self._pending.result(),
-                "camera": self.camera.state()}
+                "sample": self.sample.state()}
 
     def restore(self, state: State) -> None:
         """Return to what `state` returned."""
@@ -160,24 +129,4 @@ class OnlineLearning:
         if state["pending"] is not None:
             self._pending = Future()
             self._pending.set_result(state["pending"])
-        self.camera.restore(state["camera"])
-
-
-def _is_better(found: Bandwidth, known: Sequence[float]) -> bool:
-    """Return whether a bandwidth is better known than before, and worth applying.
-
-    It is if it differs by more than `_WORTHWHILE`, or halves the standard error.
-    """
-    if found.sigma > known[2]:
-        return False
-    level = found.at_intensity * _LEVELS
-    change = np.log((found.hz + found.hz_per_intensity * level)
-                    / (known[0] + known[1] * level))
-    return bool(np.abs(change).max() > _WORTHWHILE
-                or found.sigma < known[2] / 2)
-
-
-def _differs(found: Refractory, known_us: float) -> bool:
-    """Return whether a refractory period differs significantly from the known one."""
-    return abs(found.us - known_us) > max(
-        _SIGMAS * found.sigma_us if found.us else 0.0, _WORTHWHILE * known_us)
+        self.sample.restore(state["sample"])

@@ -125,11 +125,10 @@ class FusionOptions(Options):
         None, "str or (on, off), optional",
         '"calibration", "bias", "in-situ", "nominal", or contrast thresholds in '
         "natural-log units, scalars or (H, W); default: the first available of "
-        "calibration, bias, nominal.  By default a method that learns, such as kalman, "
-        "corrects the common scale of bias or nominal thresholds if the beginning of "
-        'the recording contradicts it.  "in-situ" starts from those and estimates each '
-        "pixel's thresholds from the first 10 s, before the first image; with `causal` "
-        "only the common scale is estimated, while the stream passes.", "thresholds",
+        "calibration, bias, nominal.  A method that learns, such as kalman, starts "
+        'from these.  "in-situ" lets other methods learn each pixel\'s thresholds from '
+        "the first 10 s, before the first image; with `causal` only their common scale "
+        "is learned, while the stream passes.", "thresholds",
         "calibration, bias, in-situ, nominal, or ON,OFF in natural-log units")
     nominal_thresholds: tuple[ArrayLike, ArrayLike] = option(
         NOMINAL_THRESHOLDS, "(on, off)",
@@ -140,10 +139,10 @@ class FusionOptions(Options):
         "Offset added to the frames' exposure times to bring them to the clock of the "
         "events, us; positive if events trail frames, as in a DAVIS346 by some ms.  "
         '"learned" takes that of the calibration; without one, a method that learns, '
-        "such as kalman, estimates it from the beginning of the recording (with "
-        "`causal`, while the stream passes), and applies it if it exceeds both three "
-        "standard errors and 1 ms.  None leaves the time stamps unchanged.  The times "
-        "of images are on the clock of the events.", "offset",
+        "such as kalman, learns it from the beginning of the recording (with `causal`, "
+        "while the stream passes), and applies it if the data clearly ask for one.  "
+        "None leaves the time stamps unchanged.  The times of images are on the clock "
+        "of the events.", "offset",
         "microseconds to add to the frames' time stamps, learned, or none")
     denoise: bool | Parameters = option(
         False, "bool or mapping",

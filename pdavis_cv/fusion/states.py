@@ -18,10 +18,10 @@ from pdavis_cv._types import Events
 from pdavis_cv.errors import ExposureWarning
 from pdavis_cv.fusion.feed import LONGEST_DELAY_US, together
 from pdavis_cv.fusion.window import Window
+from pdavis_cv.pixel.sample import PixelSample
 from pdavis_cv.reconstruct.base import Reconstructor, Snapshot
 from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
-from pdavis_cv.selfcal import SelfCalibration
 
 __all__ = ["ArrivalState", "InOrderState", "ReplayState", "make_state"]
 
@@ -31,27 +31,25 @@ costs as much as a thousand events."""
 
 
 class _MethodState:
-    """A method, the window that it computes, and the self-calibration.
+    """A method, the window that it computes, and the sample to learn from.
 
     Parameters
     ----------
     method : Reconstructor
         A method for the size of the window.
     window : Window
-    camera : SelfCalibration, optional
+    sample : PixelSample, optional
         Is fed the same events and frames, of the whole sensor.
     """
 
     def __init__(
-        self, method: Reconstructor, window: Window, camera: SelfCalibration | None
+        self, method: Reconstructor, window: Window, sample: PixelSample | None
     ) -> None:
-        self.method, self.window, self.camera = method, window, camera
+        self.method, self.window, self.sample = method, window, sample
         self.fed_us: int | None = None
 
     def add_wave(self, wave: Wave) -> None:
         """Add the lamp's flicker."""
-        if self.camera is not None:
-            self.camera.add_wave(wave)
         self.method.add_wave(wave)
 
     def mark_fed(self, t_us: int) -> None:
@@ -79,14 +77,14 @@ class InOrderState(_MethodState):
     method : Reconstructor
         A method for the size of the window.
     window : Window
-    camera : SelfCalibration, optional
+    sample : PixelSample, optional
         Is fed the same events and frames, of the whole sensor.
     """
 
     def add_events(self, events: Events) -> None:
         """Add events of the whole sensor."""
-        if self.camera is not None:
-            self.camera.add_events(events)
+        if self.sample is not None:
+            self.sample.add_events(events)
         inside = self.window.events(events)
         if len(inside):
             self.method.add_events(inside)
@@ -98,11 +96,11 @@ class InOrderState(_MethodState):
         ----------
         frame : ApsFrame
         clock_us : int
-            Added to its exposure times for the method; the camera learns the clock's
+            Added to its exposure times for the method; the sample tells the clock's
             offset and gets the frame unchanged.
         """
-        if self.camera is not None:
-            self.camera.add_frame(frame)
+        if self.sample is not None:
+            self.sample.add_frame(frame)
         self.method.add_frame(self.window.frame(frame.moved(clock_us)))
 
     @property
@@ -124,15 +122,15 @@ class InOrderState(_MethodState):
 class ArrivalState(_MethodState):
     """A method that takes late frames, fed in the order of arrival.
 
-    Only the self-calibration is fed in time order: the events since the last frame's
-    mid-exposure are kept, and passed to it when the next frame has arrived.
+    Only the sample to learn from is fed in time order: the events since the last
+    frame's mid-exposure are kept, and passed to it when the next frame has arrived.
 
     Parameters
     ----------
     method : Reconstructor
         A method for the size of the window that `takes_late_frames`.
     window : Window
-    camera : SelfCalibration, optional
+    sample : PixelSample, optional
         Is fed the same events and frames, of the whole sensor, in time order.
 
     Attributes
@@ -147,9 +145,9 @@ class ArrivalState(_MethodState):
     """
 
     def __init__(
-        self, method: Reconstructor, window: Window, camera: SelfCalibration | None
+        self, method: Reconstructor, window: Window, sample: PixelSample | None
     ) -> None:
-        super().__init__(method, window, camera)
+        super().__init__(method, window, sample)
         self.clock_us = 0
         self.committed_us: int | None = None
         self._pending: deque[Events] = deque()   # events after committed_us
@@ -158,7 +156,7 @@ class ArrivalState(_MethodState):
         """Add events of the whole sensor.
 
         After `restore`, events between `committed_us` and `fed_us` come again.  The
-        method has them already, so that only the camera gets them.
+        method has them already, so that only the sample gets them.
         """
         fresh = 0 if self.fed_us is None else bisect_right(events["t"], self.fed_us)
         inside = self.window.events(events[fresh:])
@@ -179,8 +177,8 @@ class ArrivalState(_MethodState):
                 ExposureWarning, stacklevel=2)
             return
         self._commit(mid)
-        if self.camera is not None:
-            self.camera.add_frame(frame)
+        if self.sample is not None:
+            self.sample.add_frame(frame)
         self._apply_frame(self.window.frame(frame.moved(self.clock_us)))
 
     def restore(
@@ -198,7 +196,7 @@ class ArrivalState(_MethodState):
     @property
     def _keeps_events(self) -> bool:
         """Whether events must be kept because something is fed in time order."""
-        return self.camera is not None
+        return self.sample is not None
 
     def _apply_frame(self, frame: ApsFrame) -> None:
         self.method.add_frame(frame)
@@ -207,8 +205,8 @@ class ArrivalState(_MethodState):
 
     def _feed_in_order(self, events: Events) -> None:
         """Feed events to what is fed in time order."""
-        if self.camera is not None:
-            self.camera.add_events(events)
+        if self.sample is not None:
+            self.sample.add_events(events)
 
     def _feed_together(self, parts: list[NDArray[Any]]) -> None:
         for events in together(parts):
@@ -246,7 +244,7 @@ class ReplayState(ArrivalState):
     ----------
     method, committed : Reconstructor
         The two states, equal to each other.
-    window, camera
+    window, sample
         As for `ArrivalState`.
     """
 
@@ -254,9 +252,9 @@ class ReplayState(ArrivalState):
 
     def __init__(
         self, method: Reconstructor, committed: Reconstructor, window: Window,
-        camera: SelfCalibration | None,
+        sample: PixelSample | None,
     ) -> None:
-        super().__init__(method, window, camera)
+        super().__init__(method, window, sample)
         self._committed = committed
 
     def add_wave(self, wave: Wave) -> None:
@@ -311,7 +309,7 @@ class ReplayState(ArrivalState):
 
 def make_state(
     make_method: Callable[[], Reconstructor], window: Window,
-    camera: SelfCalibration | None, *, causal: bool,
+    sample: PixelSample | None, *, causal: bool,
 ) -> InOrderState | ArrivalState:
     """Return a state that feeds the method in the order it needs.
 
@@ -319,14 +317,14 @@ def make_state(
     ----------
     make_method : callable
         Makes the method, of the size of the window.
-    window, camera
+    window, sample
         As for `InOrderState`.
     causal : bool
         Whether frames are fed at their arrival instead of their mid-exposure.
     """
     method = make_method()
     if not (causal and method.needs.frames):
-        return InOrderState(method, window, camera)
+        return InOrderState(method, window, sample)
     if method.takes_late_frames:
-        return ArrivalState(method, window, camera)
-    return ReplayState(method, make_method(), window, camera)
+        return ArrivalState(method, window, sample)
+    return ReplayState(method, make_method(), window, sample)

@@ -9,7 +9,6 @@ import numpy as np
 
 from pdavis_cv._types import Parameters
 from pdavis_cv.calibration.thresholds import Theta
-from pdavis_cv.selfcal import ClockOffset
 
 __all__ = ["Tuning"]
 
@@ -26,19 +25,17 @@ class Tuning:
         Contrast thresholds, natural-log units.
     parameters : mapping of str to object
         Further parameters of the method.
-    clock : ClockOffset
-        Offset of the frames' clock, which is corrected if it is significant.
+    clock_us : int
+        Offset of the frames' clock, which is added to their exposure times, us.
+    clock_sigma_us : float
+        Its standard error, us; 0: it was stated.
     """
 
     theta_on: Theta
     theta_off: Theta
     parameters: Parameters
-    clock: ClockOffset
-
-    @property
-    def clock_us(self) -> int:
-        """Correction that is added to the frames' exposure times, us."""
-        return self.clock.applied_us
+    clock_us: int
+    clock_sigma_us: float
 
     def changes(self, before: Tuning) -> dict[str, Any]:
         """Return the parameters to `retune` a method with that has another tuning."""
@@ -49,11 +46,6 @@ class Tuning:
             if not np.array_equal(value, getattr(before, name)):
                 out[name] = value
         return out
-
-    def has_thresholds_of(self, other: Tuning) -> bool:
-        """Return whether the thresholds are those of another tuning."""
-        return (np.array_equal(self.theta_on, other.theta_on)
-                and np.array_equal(self.theta_off, other.theta_off))
 
     def changed(self, **parameters: Any) -> Tuning:
         """Return the tuning with other parameters."""

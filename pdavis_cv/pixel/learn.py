@@ -219,6 +219,7 @@ def learn(
         return LearnedPixels(model=model, clock_offset_us=told, gains=gains, told=True)
     fit = _with(fit, dead_s=_dead_time(data))
     fit = _fitted(data, pairs, priors, fit, 0.0 if before is None else before.black)
+    fit = _with(fit, thresholds=fit.model.theta)
     model, past = fit.model, _past(data, fit.model)
     model = learned_silences(data, past, model, lookahead_us)
     if max(fit.sigmas["off"], fit.sigmas["on"]) > LEAST_KNOWN * priors.theta_sigma:

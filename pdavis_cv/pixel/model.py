@@ -44,7 +44,7 @@ _OPEN = partial(np.full, (CONTEXTS, RATIOS), 0.08)
 class PixelModel:
     """A camera as the estimator of log intensity takes it.
 
-    Equations are those of docs/theory/increments.md.  Polarities are in the order OFF,
+    Equations are those of docs/theory/kalman.md.  Polarities are in the order OFF,
     ON; log intensity is natural, light in DN per ms of exposure.
 
     Parameters

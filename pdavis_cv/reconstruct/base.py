@@ -68,11 +68,8 @@ class Needs:
         Whether the method uses `Reconstructor.add_wave`.
     learned : frozenset of str
         Parameters to estimate from the recording if the caller states none:
-        ``"bandwidth"``, ``"noise"``, ``"refractory_us"``, ``"jitter_us"``, as
-        `KalmanFilter` takes them, and ``"ratio_sigma"``, as `EventRedundancy` does.
-    prior : frozenset of str
-        Parameters to take from calibration and sensor if the caller states none:
-        ``"threshold_sigma"`` and ``"offset_dn"``, as `KalmanFilter` takes them.
+        ``"model"``, as `KalmanFilter` takes it, and ``"ratio_sigma"``, as
+        `EventRedundancy` does.
     crossed_diagonal : bool
         Whether the 0 and 90 degree polarizers must lie diagonally in the cell.
     """
@@ -81,7 +78,6 @@ class Needs:
     frames: bool = True
     lamp: bool = False
     learned: frozenset[str] = frozenset()
-    prior: frozenset[str] = frozenset()
     crossed_diagonal: bool = False
 
 
@@ -228,8 +224,8 @@ class Reconstructor(ABC):
     def retune(self, **learned: Any) -> None:
         """Continue with other values of the parameters that ``needs.learned`` names.
 
-        Thresholds and ``threshold_sigma`` may also be given if ``needs.prior`` names
-        the latter.  Earlier events and frames are not processed again.
+        Thresholds may also be given.  Earlier events and frames are not processed
+        again.
 
         Parameters
         ----------

@@ -9,11 +9,14 @@ from numpy.typing import ArrayLike
 from pdavis_cv.events import checked_time
 from pdavis_cv.reconstruct.base import Estimate
 from pdavis_cv.reconstruct.frames import log_samples
-from pdavis_cv.reconstruct.kalman import LOOKAHEAD_US, KalmanFilter
+from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.reconstruct.stream_clock import StreamClock
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["deblur"]
+
+_WAIT_US = 50_000
+"""How long events after the exposure, or after the time of the estimate, count, us."""
 
 
 def deblur(
@@ -63,10 +66,10 @@ def deblur(
     begin = min(t, int(np.min(frame.column_mid_us)))
     stop = max(t, int(np.max(frame.exposure_end_us)))
     # Long enough that the frame, and the events that it needs, are used before a read.
-    ahead = stop - begin + LOOKAHEAD_US
+    ahead = stop - begin + _WAIT_US
     one = KalmanFilter(
         frame.shape, theta_on=theta_on, theta_off=theta_off, mode="offline",
-        lookahead_us=ahead, threshold_sigma=0.0, noise=(0.0, 0.0, 0.0))
+        lookahead_us=ahead)
     split, end = (bisect_right(events["t"], time) for time in (frame.mid_us, t + ahead))
     one.add_events(events[:split])
     one.add_frame(frame)

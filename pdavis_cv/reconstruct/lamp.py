@@ -135,7 +135,7 @@ class LampTracker:
     theta_on, theta_off : array_like
         Contrast thresholds, natural-log units; their means are used.
     bandwidth : sequence of float, optional
-        (hz, hz_per_intensity, ...) of the photoreceptors, as for `KalmanFilter`.
+        (hz, hz_per_intensity, ...) of the photoreceptors, as for `EventRedundancy`.
     """
 
     def __init__(

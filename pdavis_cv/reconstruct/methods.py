@@ -25,7 +25,6 @@ METHODS: Registry[Factory] = Registry("method", {
     "events": "pdavis_cv.reconstruct.from_events:from_events",
     "cf": "pdavis_cv.reconstruct.cf:ComplementaryFilter",
     "kalman": "pdavis_cv.reconstruct.kalman:KalmanFilter",
-    "increments": "pdavis_cv.reconstruct.increments:IncrementFilter",
     "firenet": "pdavis_cv.reconstruct.firenet:FireNet",
     "joint": "pdavis_cv.reconstruct.firenet:Joint",
 }, Reconstructor, attribute="method")

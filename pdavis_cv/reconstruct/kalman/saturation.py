@@ -61,7 +61,7 @@ class Saturated:
     lookahead_us : int
         How far beyond the time of `fill` the stream will have been fed, us.
     bandwidth : (float, float, float)
-        As for `KalmanFilter`.
+        As for `EventRedundancy`, by light in DN/ms.
     ratio_sigma : float
         As for `EventRedundancy`; pixels in dim light have at least its default.
     """

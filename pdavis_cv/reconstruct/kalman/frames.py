@@ -6,12 +6,15 @@ import copy
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._types import Records
 from pdavis_cv.pixel.model import SAMPLES, SHORT_US, PixelModel
 from pdavis_cv.reconstruct.frames import log_exposure, usable_samples
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["ANCHOR_DTYPE", "COURSE_DTYPE", "EVENT_DTYPE", "NODE_DTYPE", "PIXEL_DTYPE",
-           "SHOWN_DTYPE", "Waiting"]
+           "SHOWN_DTYPE", "Waiting", "thresholds_of"]
+
+_COVARIANCES = 6    # of level and both gains: a triangle of 3 x 3
 
 EVENT_DTYPE = np.dtype([
     ("t", "<i8"), ("light", "<f8", 2), ("count", "<f8", 2), ("before", "<f4"),
@@ -26,7 +29,7 @@ NODE_DTYPE = np.dtype([
     ("around_t", "<i8"), ("open_variance", "<f4"),
     ("around", "<f4"), ("log", "<f4"), ("variance", "<f4")])
 ANCHOR_DTYPE = np.dtype([
-    ("log", "<f4"), ("gain", "<f4", 2), ("p", "<f4", 6), ("hot", "<f4"),
+    ("log", "<f4"), ("gain", "<f4", 2), ("p", "<f4", _COVARIANCES), ("hot", "<f4"),
     ("motion", "<f4"), ("sampled", "<f4")])
 SHOWN_DTYPE = np.dtype([
     ("until", "<i8"), ("last", "<i8"), ("next", "<i8"), ("ahead", "<f4"),
@@ -93,3 +96,16 @@ class Waiting:
         other.nodes = self.nodes.copy()
         other.around = None if self.around is None else self.around.copy()
         return other
+
+
+def thresholds_of(
+    anchors: Records, model: PixelModel
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return `KalmanFilter.thresholds`."""
+    thetas = model.thresholds[::-1, None, None] * (1 + np.moveaxis(
+        anchors["gain"][..., ::-1].astype(np.float64), -1, 0))
+    own = np.where(anchors["sampled"][..., None] > 0, anchors["p"][..., 3:],
+                   model.spread**2 * np.array([1.0, 0.0, 1.0]))
+    relative = own[..., [[2, 1], [1, 0]]] + (model.theta_cov / np.outer(
+        model.theta, model.theta))[::-1, ::-1]
+    return thetas, relative * np.einsum("iyx,jyx->yxij", thetas, thetas)

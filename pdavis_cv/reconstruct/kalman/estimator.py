@@ -21,7 +21,7 @@ from pdavis_cv.reconstruct.base import (
     Needs,
     Reconstructor,
 )
-from pdavis_cv.reconstruct.increment_frames import (
+from pdavis_cv.reconstruct.kalman.frames import (
     ANCHOR_DTYPE,
     COURSE_DTYPE,
     EVENT_DTYPE,
@@ -29,6 +29,7 @@ from pdavis_cv.reconstruct.increment_frames import (
     PIXEL_DTYPE,
     SHOWN_DTYPE,
     Waiting,
+    thresholds_of,
 )
 from pdavis_cv.reconstruct.kalman.lasting_degree import LastingDegree
 from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
@@ -38,7 +39,7 @@ from pdavis_cv.reconstruct.stream_clock import NEVER, StreamClock, checked_thres
 from pdavis_cv.reconstruct.tracks import as_bytes
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["IncrementFilter"]
+__all__ = ["KalmanFilter"]
 
 LOOKAHEADS = {"buffered": 50_000, "causal": 0, "offline": 500_000}
 """How long after its time an image is made, us: events and frames up to then count."""
@@ -46,14 +47,16 @@ LOOKAHEADS = {"buffered": 50_000, "causal": 0, "offline": 500_000}
 WAIT_US = 50_000
 """How long the next event of a pixel is waited for at most, us."""
 
-_REACH_US = 5_000 - round(1e6 * min(LAGS_S))
+_REACH_US = 5_000 - round(1e6 * min(LAGS_S))    # how far back events count, us
 _AHEAD_US = round(1e6 * max(LAGS_S))
-_LATE_US = 500_000
-_NO_EVENTS = 1 << 14
+_LATE_US = 500_000      # how late a frame may come, us
+_NO_EVENTS = 1 << 14    # capacity of the store at first, events
+_BANDWIDTH_SIGMA = 0.1  # relative error of the bandwidth of saturated pixels
+_PLANES, _PIXEL_NS = 5, 100.0   # of an image in the making; ns by listed pixel
 _UNKNOWN, _HOT = 1e3, 6.91      # as PD_UNKNOWN and PD_PRIOR_ODDS of _increments.h
 
 
-class IncrementFilter(Reconstructor):
+class KalmanFilter(Reconstructor):
     """Filter that joins learned increments of events with frames.
 
     How much light changes by an event, and what silence means, are regressions on the
@@ -92,9 +95,9 @@ class IncrementFilter(Reconstructor):
     0.25.  Results do not depend on how the stream is cut up.
     """
 
-    method = "increments"
+    method, cheaper = "kalman", "cf"
     trials = MappingProxyType({
-        "increments": {}, "increments offline": {"mode": "offline"}})
+        "kalman": {}, "kalman offline": {"mode": "offline"}})
     needs = Needs(lamp=True, learned=frozenset({"model", "ratio_sigma"}))
     causal_parameters = MappingProxyType({"mode": "causal"})
     margin = WHOLE_SENSOR
@@ -125,7 +128,7 @@ class IncrementFilter(Reconstructor):
         self._given = model
         self._saturated = Saturated(
             self.shape, *self._thresholds, response, lookahead_us,
-            (*self._model.bandwidth, 0.1), self._ratio_sigma)
+            (*self._model.bandwidth, _BANDWIDTH_SIGMA), self._ratio_sigma)
         self._begin()
 
     @property
@@ -165,7 +168,7 @@ class IncrementFilter(Reconstructor):
         self._moves = np.empty(size, np.uint8)
         self._shown = np.zeros(self.shape, SHOWN_DTYPE)
         self._courses: Records | None = None
-        self._planes = np.zeros((5, *self.shape), np.float32)
+        self._planes = np.zeros((_PLANES, *self.shape), np.float32)
         self._around = np.zeros((3, *self.shape), np.float32)
         self._row = np.empty(self.shape, np.float32)
         self._hot: NDArray[np.bool_] | None = None
@@ -176,8 +179,7 @@ class IncrementFilter(Reconstructor):
 
     def _begin_gains(self) -> None:
         for i, theta in enumerate(self._theta):
-            if np.ndim(theta):
-                self._anchors["gain"][..., i] = theta / np.mean(theta) - 1
+            self._anchors["gain"][..., i] = theta / np.mean(theta) - 1
 
     def _changed(self) -> None:
         """Invalidate what is made for reads."""
@@ -185,7 +187,15 @@ class IncrementFilter(Reconstructor):
         self._fresh = False
         self._hot = None
         self._pixels["flags"] = 3
-        self._scratch: tuple[int, int, IncrementFilter] | None = None
+        self._scratch: tuple[int, int, KalmanFilter] | None = None
+
+    @property
+    def thresholds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Contrast thresholds of the pixels as learned so far, and their covariance.
+
+        Shapes (2, H, W), ON then OFF, and (H, W, 2, 2), with what is common to all.
+        """
+        return thresholds_of(self._anchors, self._model)
 
     @property
     def parameters(self) -> Parameters:
@@ -212,15 +222,15 @@ class IncrementFilter(Reconstructor):
                            checked_threshold("theta_on", on, self.shape))
             self._begin_gains()
         old, self._given = self._model, learned.get("model", self._given)
-        self._forget_gains(old)
+        moved = learned.get("frames_moved_us", 0)
+        self._forget_gains(old, moved)
         self._saturated.retune(
-            (*self._model.bandwidth, 0.1), self._ratio_sigma,
+            (*self._model.bandwidth, _BANDWIDTH_SIGMA), self._ratio_sigma,
             self._thresholds)
         self._numbers = self._model.numbers
         if self._stop:
             _kernels.increments_weigh(
                 self._store, self._stop, self._first(), self._pixels, self._numbers)
-        moved = learned.get("frames_moved_us", 0)
         # Frames that wait still have the old stamps.
         frames = self._frames[:self._passed] if moved else self._frames
         self._frames = tuple(frame.copy() for frame in frames)
@@ -237,22 +247,23 @@ class IncrementFilter(Reconstructor):
                 self._look(frame, known)
         self._changed()
 
-    def _forget_gains(self, old: PixelModel) -> None:
+    def _forget_gains(self, old: PixelModel, moved: int) -> None:
         """Keep of the gains what another model could tell.
 
         They hold in units of their spread, but may be wrong by as much as thresholds
-        were.
+        were; those that frames with wrong stamps told are worth nothing.
         """
         variance = self._model.spread ** 2
-        wrong = float(np.abs(np.log(self._model.theta / old.theta)).max())
+        wrong = np.inf if moved else float(
+            np.abs(np.log(self._model.theta / old.theta)).max())
         kept = variance / (variance + wrong**2)
         ratio = kept * self._model.spread / old.spread
         self._anchors["p"] *= np.array(
             [1, ratio, ratio, ratio**2, ratio**2, ratio**2], np.float32)
         self._anchors["p"][..., [3, 5]] += (1 - kept**2) * variance
-        told = np.stack([np.broadcast_to(theta / np.mean(theta) - 1, self.shape)
-                         for theta in self._theta], -1)
-        self._anchors["gain"] += (1 - kept) * (told - self._anchors["gain"])
+        for i, theta in enumerate(self._theta):
+            gain = self._anchors["gain"][..., i]
+            gain += (1 - kept) * (theta / np.mean(theta) - 1 - gain)
 
     def _first(self) -> int:
         return 0 if self._first_us is None else self._first_us
@@ -460,7 +471,7 @@ class IncrementFilter(Reconstructor):
         return Estimate(log, variance, valid), lambda out: lasting.weigh(
             log, variance, valid.view(np.uint8), self.workers, out)
 
-    def _at(self, t: int, seen: int) -> IncrementFilter:
+    def _at(self, t: int, seen: int) -> KalmanFilter:
         """Return this filter, or a copy that has used what a later read may not use."""
         if not self._next_passes(seen) and (self._committed == self._stop or int(
                 self._store["t"][self._committed]) > t):
@@ -505,10 +516,10 @@ class IncrementFilter(Reconstructor):
         if looks and self._courses is None:
             self._courses = np.empty(self.shape, COURSE_DTYPE)
         n, before = self._listed, not self._fresh
-        self._bands(n, lambda first, last: _kernels.increments_move(
+        self.workers.rows(n, lambda first, last: _kernels.increments_move(
             self._pixels, self._store, frames, (t, seen, self._epoch_us, before),
             self._numbers, self._moving, self._moves, self._shown, self._courses,
-            self._planes, around, (first, last)))
+            self._planes, around, (first, last)), row_ns=_PIXEL_NS)
         kept = self._moving[:n][self._moves[:n] > 0]
         self._listed = len(kept)
         self._moving[:len(kept)] = kept
@@ -526,10 +537,6 @@ class IncrementFilter(Reconstructor):
         self._epoch_us = epoch_us
         self._listed = self._moving.size
         self._moving[:] = self._all
-
-    def _bands(self, n: int, work: Callable[[int, int], object]) -> None:
-        """Let threads share the listed pixels."""
-        self.workers.rows(n, work, row_ns=100.0)
 
     def _join(self, later: list[Waiting]) -> None:
         """Carry the estimate from later frames back to the first of them."""
@@ -555,8 +562,8 @@ class IncrementFilter(Reconstructor):
 
     def assign(self, other: Reconstructor) -> None:
         """Take over the state of an equal filter (see `Reconstructor.assign`)."""
-        if not isinstance(other, IncrementFilter) or other.shape != self.shape:
-            raise ValueError(f"other must be an equal IncrementFilter, got {other!r}")
+        if not isinstance(other, KalmanFilter) or other.shape != self.shape:
+            raise ValueError(f"other must be an equal KalmanFilter, got {other!r}")
         self._restore(other._state())
 
     def _state(self) -> State:
