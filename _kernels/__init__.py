@@ -49,7 +49,6 @@ from ._increments_frames import (
     increments_pass,
 )
 from ._increments_read import increments_image, increments_move
-from ._kalman import kalman_frame, kalman_inflate
 from ._lamp import lamp_push, lamp_wave
 from ._leaky import (
     cf_frame,
@@ -74,16 +73,15 @@ from ._network import voxel_planes
 from ._packed import unpack_10p, unpack_12p, unpack_packed
 from ._picture import fade_bgr, hue_bgr, polar_bgr, ramp_bgr, tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
-from ._reading import kalman_read, kalman_show
 from ._redundancy import (
+    redundancy_read,
     redundancy_sample,
     redundancy_shown,
     redundancy_solve,
     saturated_events,
     saturated_fill,
 )
-from ._rest import kalman_rest
-from ._samples import kalman_samples, log_frame
+from ._samples import log_frame
 from ._scenes import (
     analysed,
     fan_stokes,
@@ -91,10 +89,8 @@ from ._scenes import (
     plane_waves,
     texture_stokes,
 )
-from ._selfcal import sample_events, sample_innovations
 from ._simulate import pixel_events, video_events
-from ._smooth import smooth_gap, smooth_past, smooth_read
-from ._store import store_commit, store_link, store_mark, store_push, store_unlink
+from ._store import store_commit, store_link, store_push, store_unlink
 
 __all__ = [
     "DEBUG",
@@ -145,12 +141,6 @@ __all__ = [
     "increments_pass",
     "increments_push",
     "increments_weigh",
-    "kalman_frame",
-    "kalman_inflate",
-    "kalman_read",
-    "kalman_rest",
-    "kalman_samples",
-    "kalman_show",
     "lamp_push",
     "lamp_wave",
     "lasting_degree",
@@ -178,22 +168,17 @@ __all__ = [
     "reached",
     "read_out",
     "reconcile",
+    "redundancy_read",
     "redundancy_sample",
     "redundancy_shown",
     "redundancy_solve",
     "ros_events",
-    "sample_events",
-    "sample_innovations",
     "saturated_events",
     "saturated_fill",
-    "smooth_gap",
-    "smooth_past",
-    "smooth_read",
     "sort_events",
     "stokes",
     "store_commit",
     "store_link",
-    "store_mark",
     "store_push",
     "store_unlink",
     "stream_events",

@@ -8,9 +8,8 @@ of the moments of n_i exp(E_i).  See docs/theory/events.md.
 from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t
 from libc.string cimport memset
 
-from _kernels._estimate cimport read_level, reading_t, walk_to
+from _kernels._estimate cimport log_at
 from _kernels._lamp cimport lamp_of, lamp_t
-from _kernels._listing cimport CHANGED, NEW_STATE
 from _kernels._math cimport exp_f, log_f
 from _kernels._model cimport (
     check_given, state_t, stored_t, track_t, tuning_t, wave_t)
@@ -151,14 +150,12 @@ cdef inline void add_moments(moments_t* m, const double* value,
 
 def redundancy_sample(int64_t t, int64_t known, chain not None,
                       const stored_t[::1] events not None, model not None,
-                      const policy_t[::1] policy not None, cells not None,
-                      uint8_t[:, ::1] listed not None):
+                      const policy_t[::1] policy not None, cells not None):
     """Add the intensities at t to the moments; move the counts to the states.
 
     chain is (store, tracks that chain the events after those counted), model (tuning,
     waves), cells (states, balance, moments).  events are those counted since the last
-    comparison: only their macropixels change.  Pixels whose states change are flagged
-    in listed (see _listing.pxd).
+    comparison: only their macropixels change.
     """
     cdef const stored_t[::1] store
     cdef track_t[:, ::1] tracks
@@ -177,8 +174,7 @@ def redundancy_sample(int64_t t, int64_t known, chain not None,
     w = tracks.shape[1]
     if (states.shape[0] != h or states.shape[1] != w or balance.shape[0] != h
             or balance.shape[1] != w or moments.shape[0] != h // 2
-            or moments.shape[1] != w // 2 or listed.shape[0] != h
-            or listed.shape[1] != w):
+            or moments.shape[1] != w // 2):
         raise ValueError("redundancy_sample: all images must have one shape")
     if tuning.shape[0] != 1 or policy.shape[0] != 1 or store.shape[0] == 0:
         raise ValueError("redundancy_sample: an array has a wrong length")
@@ -197,17 +193,15 @@ def redundancy_sample(int64_t t, int64_t known, chain not None,
             if events[i].y < h // 2 * 2 and events[i].x < w // 2 * 2:
                 sample_cell(t, known, &store[0], events[i].y // 2 * 2,
                             events[i].x // 2 * 2, &tuning[0], &policy[0], &lamp, tracks,
-                            states, balance, moments, listed)
+                            states, balance, moments)
 
 
 cdef void sample_cell(int64_t t, int64_t known, const stored_t* store, Py_ssize_t y0,
                       Py_ssize_t x0, const tuning_t* tuning, const policy_t* policy,
                       const lamp_t* lamp, track_t[:, ::1] tracks,
                       state_t[:, ::1] states, balance_t[:, ::1] balance,
-                      moments_t[:, ::1] moments,
-                      uint8_t[:, ::1] listed) noexcept nogil:
+                      moments_t[:, ::1] moments) noexcept nogil:
     """Sample one macropixel, unless its counts are 0: then it has been done."""
-    cdef reading_t r
     cdef double value[4]
     cdef float log[4]
     cdef double level = 0.0, loss, n_on, n_off
@@ -225,9 +219,8 @@ cdef void sample_cell(int64_t t, int64_t known, const stored_t* store, Py_ssize_
     for i in range(4):
         y = y0 + i // 2
         x = x0 + i % 2
-        walk_to(&r.walk, t, store, &tracks[y, x], tuning.refractory_us)
-        read_level(&r, t, known, store, tuning, lamp, &states[y, x])
-        log[i] = <float>(r.level + r.lag)
+        log[i] = <float>log_at(t, known, store, tuning, lamp, &tracks[y, x],
+                               &states[y, x])
         level += CHANNEL_SHARE * log[i]
     loss = level * policy.loss
     for i in range(4):
@@ -241,7 +234,6 @@ cdef void sample_cell(int64_t t, int64_t known, const stored_t* store, Py_ssize_
         s.base += s.theta_on * n_on - s.theta_off * n_off - loss
         track.n_on = 0
         track.n_off = 0
-        listed[y, x] |= CHANGED | NEW_STATE
         if n_on + n_off > 0.0:
             remember(&balance[y, x], n_on, n_off, policy.forget)
             rebalance(&balance[y, x], policy, s)
@@ -250,20 +242,17 @@ cdef void sample_cell(int64_t t, int64_t known, const stored_t* store, Py_ssize_
 
 def redundancy_solve(const policy_t[::1] policy not None,
                      moments_t[:, ::1] moments not None,
-                     state_t[:, ::1] states not None, uint8_t[:, ::1] listed not None):
+                     state_t[:, ::1] states not None):
     """Shift each base so that the gains of its macropixel become 1; set its ratio.
 
     Macropixels without a new comparison, or with too few in total, are left unchanged.
-    Pixels whose bases change are flagged in listed (see _listing.pxd).
     """
     cdef Py_ssize_t rows = moments.shape[0], columns = moments.shape[1], r, c, i
     cdef Py_ssize_t[CELLS] row, column
     cdef cells_t cells
     cdef Py_ssize_t n = 0
     cdef moments_t* m
-    if (states.shape[0] // 2 != rows or states.shape[1] // 2 != columns
-            or listed.shape[0] != states.shape[0]
-            or listed.shape[1] != states.shape[1]):
+    if states.shape[0] // 2 != rows or states.shape[1] // 2 != columns:
         raise ValueError("redundancy_solve: all images must have one shape")
     if policy.shape[0] != 1:
         raise ValueError("redundancy_solve: policy must be one record")
@@ -283,17 +272,17 @@ def redundancy_solve(const policy_t[::1] policy not None,
                 n += 1
                 if n == CELLS:
                     solve_cells(&cells, policy[0].pull)
-                    apply_gains(&cells, row, column, n, moments, states, listed)
+                    apply_gains(&cells, row, column, n, moments, states)
                     n = 0
         if n > 0:
             solve_cells(&cells, policy[0].pull)
-            apply_gains(&cells, row, column, n, moments, states, listed)
+            apply_gains(&cells, row, column, n, moments, states)
 
 
 cdef inline void apply_gains(const cells_t* cells, const Py_ssize_t* row,
                              const Py_ssize_t* column, Py_ssize_t n,
-                             moments_t[:, ::1] moments, state_t[:, ::1] states,
-                             uint8_t[:, ::1] listed) noexcept nogil:
+                             moments_t[:, ::1] moments,
+                             state_t[:, ::1] states) noexcept nogil:
     """Write what solve_cells found of the first n macropixels."""
     cdef Py_ssize_t k, y, x
     cdef int i
@@ -308,9 +297,41 @@ cdef inline void apply_gains(const cells_t* cells, const Py_ssize_t* row,
             y = 2 * row[k] + i // 2
             x = 2 * column[k] + i % 2
             states[y, x].base += cells.shift[i][k]
-            listed[y, x] |= CHANGED | NEW_STATE
         for i in range(PRODUCTS):
             m.product[i] = cells.product[i][k]
+
+
+def redundancy_read(int64_t t, int64_t known, chain not None, model not None,
+                    const state_t[:, ::1] states not None, rows not None,
+                    float[:, ::1] log not None):
+    """Write log intensity at t to rows (first, last), using events up to known >= t.
+
+    chain is (store, tracks that chain the events after those counted), model (tuning,
+    waves).
+    """
+    cdef const stored_t[::1] store
+    cdef const track_t[:, ::1] tracks
+    cdef const tuning_t[::1] tuning
+    cdef const wave_t[::1] waves
+    cdef Py_ssize_t h = states.shape[0], w = states.shape[1], y, x, first, last
+    cdef lamp_t lamp
+    first, last = rows
+    check_given((*chain, *model))
+    store, tracks = chain
+    tuning, waves = model
+    if (tracks.shape[0] != h or tracks.shape[1] != w or log.shape[0] != h
+            or log.shape[1] != w):
+        raise ValueError("redundancy_read: all images must have one shape")
+    if tuning.shape[0] != 1 or store.shape[0] == 0:
+        raise ValueError("redundancy_read: tuning or store has a wrong length")
+    if first < 0 or last > h:
+        raise ValueError("redundancy_read: rows must lie in the image")
+    lamp = lamp_of(waves)
+    with nogil:
+        for y in range(first, last):
+            for x in range(w):
+                log[y, x] = <float>log_at(t, known, &store[0], &tuning[0], &lamp,
+                                          &tracks[y, x], &states[y, x])
 
 
 def redundancy_shown(const moments_t[:, ::1] moments not None,

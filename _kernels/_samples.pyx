@@ -1,13 +1,9 @@
 """Frames as samples of log intensity."""
 from libc.stdint cimport uint8_t
 
-from _kernels._model cimport sample_t
-
 cdef extern from "_samples.h" nogil:
     void log_row(const float*, const unsigned char*, const float*, Py_ssize_t, float*,
                  unsigned char*)
-    void sample_row(const float*, const unsigned char*, const float*, float, float,
-                    Py_ssize_t, float*)
 
 
 def log_frame(const float[:, ::1] dn not None, const uint8_t[:, ::1] usable not None,
@@ -25,24 +21,3 @@ def log_frame(const float[:, ::1] dn not None, const uint8_t[:, ::1] usable not 
         for y in range(h):
             log_row(&dn[y, 0], &usable[y, 0], &log_exposure[0], w, &out[y, 0],
                     &valid[y, 0])
-
-
-def kalman_samples(const float[:, ::1] dn not None,
-                   const uint8_t[:, ::1] usable not None,
-                   const float[::1] log_exposure not None, float read_variance,
-                   float dn_per_shot, sample_t[:, ::1] out not None):
-    """Write ln(max(dn, 1)) - log_exposure[column] with the noise of each sample.
-
-    Its variance is (read_variance + dn / dn_per_shot) / dn^2, and 0 where usable is 0,
-    below 1 DN and for a NaN.
-    """
-    cdef Py_ssize_t h = out.shape[0], w = out.shape[1], y
-    if (dn.shape[0] != h or dn.shape[1] != w or usable.shape[0] != h
-            or usable.shape[1] != w or log_exposure.shape[0] != w):
-        raise ValueError("kalman_samples: all arrays must have one shape")
-    if w == 0:
-        return
-    with nogil:
-        for y in range(h):
-            sample_row(&dn[y, 0], &usable[y, 0], &log_exposure[0], read_variance,
-                       dn_per_shot, w, <float*>&out[y, 0])

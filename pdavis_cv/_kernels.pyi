@@ -57,12 +57,6 @@ __all__ = [
     "increments_pass",
     "increments_push",
     "increments_weigh",
-    "kalman_frame",
-    "kalman_inflate",
-    "kalman_read",
-    "kalman_rest",
-    "kalman_samples",
-    "kalman_show",
     "lamp_push",
     "lamp_wave",
     "lasting_degree",
@@ -90,21 +84,16 @@ __all__ = [
     "reached",
     "read_out",
     "reconcile",
+    "redundancy_read",
     "redundancy_sample",
     "redundancy_shown",
     "redundancy_solve",
-    "sample_events",
-    "sample_innovations",
     "saturated_events",
     "saturated_fill",
-    "smooth_gap",
-    "smooth_past",
-    "smooth_read",
     "sort_events",
     "stokes",
     "store_commit",
     "store_link",
-    "store_mark",
     "store_push",
     "store_unlink",
     "stream_events",
@@ -284,34 +273,6 @@ def increments_push(
 def increments_weigh(
     store: NDArray[Any], stop: int, first: int, pixels: NDArray[Any], camera: _F64,
 ) -> None: ...
-def kalman_frame(
-    frame: tuple[NDArray[Any], NDArray[Any], int], chain: _Pair, committed: int,
-    model: _Pair, tracks: NDArray[Any], states: NDArray[Any], innovations: _F64,
-    nodes: NDArray[Any], middles: _F32, bands: tuple[int, int, int],
-) -> None: ...
-def kalman_inflate(
-    states: NDArray[Any], sigmas: NDArray[np.float64], lags: tuple[
-        tuple[float, float], tuple[float, float], float, float, float],
-) -> None: ...
-def kalman_read(
-    t: int, known: int, epoch: int, chain: _Pair, model: _Pair, states: NDArray[Any],
-    rows: tuple[int, int], shown: tuple[_F32, _F32, _U8],
-) -> None: ...
-def kalman_samples(
-    dn: _F32, usable: _U8, log_exposure: _F32, read_variance: float,
-    dn_per_shot: float, out: NDArray[Any],
-) -> None: ...
-def kalman_rest(
-    now: int, epoch: int, every: bool, tuning: NDArray[Any], tracks: NDArray[Any],
-    states: NDArray[Any], gaps: NDArray[Any],
-    listing: tuple[NDArray[np.int32], _U8], planes: _F32,
-) -> int: ...
-def kalman_show(
-    t: int, known: int, epoch: int, chain: _Pair, tuning: NDArray[Any],
-    states: NDArray[Any], gaps: NDArray[Any],
-    listing: tuple[NDArray[np.int32], int, _U8, _F32], planes: _F32,
-    rows: tuple[int, int], shown: tuple[_F32, _F32, _U8],
-) -> None: ...
 def lamp_push(
     events: NDArray[Any], until: int, sensor: tuple[int, int, int],
     thresholds: tuple[float, float], even_us: _F64, hz: _F32, stamps: _I64, sums: _F64,
@@ -370,45 +331,18 @@ def stokes(quad: _F32, gain: float, out: _F32) -> None: ...
 def superpixel(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], out: _F32
 ) -> None: ...
-def sample_events(
-    events: NDArray[Any], place: NDArray[np.int32], out: NDArray[Any],
-) -> int: ...
-def sample_innovations(
-    events: NDArray[Any], pixels: NDArray[Any], frames: NDArray[Any],
-    waves: NDArray[Any], theta_sigma: float, refractory_us: float,
-    candidates: NDArray[Any], out: NDArray[Any],
-) -> None: ...
-def smooth_gap(
-    nodes: NDArray[Any], times: NDArray[np.int64], order: NDArray[np.int32],
-    passed: NDArray[np.int32], states: NDArray[Any], past: NDArray[Any],
-    rows: tuple[int, int], out: NDArray[Any], following: NDArray[Any],
-) -> None: ...
-def smooth_past(
-    nodes: NDArray[Any], times: NDArray[np.int64], states: NDArray[Any],
-    past: NDArray[Any],
-) -> None: ...
-def smooth_read(
-    t: int, known: int, chain: _Pair, model: _Pair, gaps: NDArray[Any],
-    states: NDArray[Any], shown: tuple[_F32, _F32, _U8],
-) -> None: ...
 def store_commit(
-    store: NDArray[Any], at: int, stop: int, until: int, refractory: float,
-    tracks: NDArray[Any],
+    store: NDArray[Any], at: int, stop: int, until: int, tracks: NDArray[Any],
 ) -> int: ...
 def store_link(
     store: NDArray[Any], start: int, stop: int, tracks: NDArray[Any]
 ) -> None: ...
-def store_mark(
-    store: NDArray[Any], start: int, stop: int, pixels: NDArray[np.int32],
-    listed_before: int, listed: _U8,
-) -> int: ...
 def store_unlink(
     store: NDArray[Any], start: int, stop: int, tracks: NDArray[Any]
 ) -> None: ...
 def store_push(
-    events: NDArray[Any], last: int, at: int, store: NDArray[Any],
-    pixels: NDArray[np.int32], listed_before: int, listed: _U8,
-) -> tuple[int, int]: ...
+    events: NDArray[Any], last: int, at: int, store: NDArray[Any], h: int, w: int,
+) -> int: ...
 def pixel_events(
     light: NDArray[np.float64], slope: NDArray[np.float64],
     analyser: NDArray[np.float64] | None, pixels: NDArray[np.float64],
@@ -425,14 +359,20 @@ def read_out(
     clock: NDArray[np.float64], waiting: NDArray[np.int32], queue: NDArray[np.uint16],
     pending: NDArray[np.uint8], out: NDArray[Any]
 ) -> tuple[int, int, int]: ...
+def redundancy_read(
+    t: int, known: int, chain: tuple[NDArray[Any], NDArray[Any]],
+    model: tuple[NDArray[Any], NDArray[Any]], states: NDArray[Any],
+    rows: tuple[int, int], log: _F32,
+) -> None: ...
 def redundancy_sample(
-    t: int, known: int, chain: _Pair, events: NDArray[Any], model: _Pair,
-    policy: NDArray[Any], cells: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
-    listed: _U8,
+    t: int, known: int, chain: tuple[NDArray[Any], NDArray[Any]],
+    events: NDArray[Any], model: tuple[NDArray[Any], NDArray[Any]],
+    policy: NDArray[Any],
+    cells: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
 ) -> None: ...
 def redundancy_shown(moments: NDArray[Any], ratio: _F32, smallest: _F32) -> None: ...
 def redundancy_solve(
-    policy: NDArray[Any], moments: NDArray[Any], states: NDArray[Any], listed: _U8
+    policy: NDArray[Any], moments: NDArray[Any], states: NDArray[Any],
 ) -> None: ...
 def saturated_events(
     events: NDArray[Any], cell_of: NDArray[np.int32], columns: int, out: NDArray[Any]

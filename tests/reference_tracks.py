@@ -1,4 +1,4 @@
-"""Between and beyond a pixel's events: twins of _tracks and _lag in NumPy."""
+"""Log intensity between and beyond a pixel's events: twin of _estimate in NumPy."""
 import functools
 import importlib
 import sys
@@ -7,15 +7,7 @@ from pathlib import Path
 import numpy as np
 
 US = 1e-6
-BLOCK, STALE = 100_000, 10_000_000
-# Anywhere between the two thresholds.
-UNKNOWN = np.mean(np.linspace(-1, 1, 100_001) ** 2)
-STILL = 250_000
-
-
-def silence(gap):
-    """Probability that a pixel without an event for a gap (us) is at rest."""
-    return 1 / (1 + (STILL / max(gap, 1e-9)) ** 4)
+BLOCK, STALE, REST = 100_000, 10_000_000, 1_000_000
 
 
 def ripple_of(waves):
@@ -43,79 +35,46 @@ def steady(t, hz=None):
     return 0.0, 0.0
 
 
-def audible(t0, t1, deaf):
-    """Time (us) in which a pixel compares between two events."""
-    return max(t1 - t0 - deaf, 100)
+# What follows returns polarity, fraction of its threshold crossed, and per second; then
+# what the lamp adds, and per second.  steps are (on, -off), r its ripple at a time.
 
 
-def lost(before, t, after, deaf):
-    """What light does in reset after t: thresholds of the event there, of the next.
-
-    The slopes, one threshold per audible time, hold in the middle of these times.
-    """
-    if not deaf or t is None:
-        return np.zeros(2)
-    second = audible(t, after, deaf)
-    if before is None:
-        return np.array([0, deaf / second])
-    first = audible(before, t, deaf)
-    middles = -first / 2, deaf + second / 2
-    return deaf * np.array([np.interp(deaf / 2, middles, (1 / first, 0)),
-                            np.interp(deaf / 2, middles, (0, 1 / second))])
-
-
-def between(before, t0, p0, t1, p1, steps, r, lit, deaf, t):
-    """Polarity, fraction of its threshold crossed, per second, variances of both, fall.
-
-    fall is the thresholds per second that the intensity last fell by.  Then what the
-    lamp adds, and per second; steps are (on, -off), r its ripple and rate at a time.
-    """
+def between(before, t0, p0, t1, p1, steps, r, lit, t):
     if t0 is None:
-        return p1, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
+        return p1, 0.0, 0.0, 0.0, 0.0
     r = r if t1 - t0 < STALE else steady
     change = r(t1)[0] - r(t0)[0]
     since = r(t0)[0] - r(before[0])[0] if before and t0 - before[0] < STALE else 0
     last, next = steps[1 - p0] - since, steps[1 - p1] - change
-    ours, theirs = lost(before and before[0], t0, t1, deaf)
-    # Thresholds of the next event from the last one to it.
-    whole = 1 + theirs + ours * steps[1 - p0] / steps[1 - p1]
+    fraction, rate = line(
+        before, t0, p0, t1, abs(last / next), last * next >= 0, t)
     if not lit or r is steady:
-        part = line(before, t0, p0, t1, p1, abs(last / next), last * next >= 0, whole,
-                    ours, deaf, t)
-        return *part, 0.0, 0.0
-    p, fraction, rate, *spread = line(
-        before, t0, p0, t1, p1, abs(last / next), last * next >= 0, 1, 0, deaf, t)
+        return p1, fraction, rate, 0.0, 0.0
     now, slope = r(t)
-    return (p, whole * fraction, whole * rate, *spread,
-            now - r(t0)[0] - fraction * change, slope - rate * change)
+    return p1, fraction, rate, now - r(t0)[0] - fraction * change, slope - rate * change
 
 
-def turning(room, whole):
-    """The parabola (1, s, s^2) from 0 to `whole` at s = 1 that turns at -room."""
-    at = 1 / (1 + np.sqrt(max(room + whole, 0) / room))     # where it turns
+def turning(room):
+    """The parabola (1, s, s^2) from 0 to 1 at s = 1 that turns at -room."""
+    at = 1 / (1 + np.sqrt((room + 1) / room))     # where it turns
     return np.array([0, -2 * room / at, room / at**2])
 
 
-def line(before, t0, p0, t1, p1, ratio, same, whole, ours, deaf, t):
+def line(before, t0, p0, t1, ratio, same, t):
     gap = max(t1 - t0, 100)
     s, hz = (t - t0) / gap, 1e6 / gap
     if same:
-        return p1, s * whole, hz * whole, 0.0005, 0.0008 * hz**2, 0.0 if p1 else hz
-    path, spread, fall = turning(0.5 + ours, whole), (0.05, 1.0), 0.0
+        return s, hz
+    path = turning(0.5)
     if before is not None and before[1] == p0:
-        past = max(t0 - before[0], 100)
-        q = past / gap
-        fall = hz / q if p1 else 0.0
-        height = ratio * past / audible(before[0], t0, deaf)
+        q = max(t0 - before[0], 100) / gap
         # Through the event before, this one and the next.
-        path = np.linalg.solve(np.vander([-q, 0, 1], 3, True), [height, 0, whole])
+        path = np.linalg.solve(np.vander([-q, 0, 1], 3, True), [ratio, 0, 1])
         if path[1] > 0 or path[2] < 0:
-            path = np.array([0, 0, whole] if whole > 0 else [0, whole, 0])
-        elif path[1]**2 > 4 * path[2] * (1 + ours):
-            path = turning(1 + ours, whole)
-        spread = (0.003, 0.02)
-    return (p1, path @ (1, s, s * s), path @ (0, 1, 2 * s) * hz, spread[0],
-            spread[1] * hz**2, fall)
+            path = np.array([0, 0, 1])
+        elif path[1]**2 > 4 * path[2]:
+            path = turning(1)
+    return path @ (1, s, s * s), path @ (0, 1, 2 * s) * hz
 
 
 def after(t0, r, t):
@@ -125,19 +84,11 @@ def after(t0, r, t):
     return r(t)[0] - r(t0)[0], r(t)[1]
 
 
-def in_reset(since, gap, first, deaf):
-    """Thresholds crossed in reset at `first` per gap, and per second."""
-    return first * min(since, deaf) / gap, (first * 1e6 / gap if since < deaf else 0)
-
-
-def quiet(before, t0, p0, known, r, deaf, t):
+def quiet(t0, p0, known, r, t):
     if t0 is None:
-        return p0, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
+        return p0, 0.0, 0.0, 0.0, 0.0
     s, hz = (t - t0) / (known - t0), 1e6 / (known - t0)
-    more, faster = (in_reset(t - t0, audible(before[0], t0, deaf), 1, deaf)
-                    if deaf and before else (0, 0))
-    return (p0, 2 * s * (1 - s) + more, (2 - 4 * s) * hz + faster, 0.08, 0.3 * hz**2,
-            0.0, *after(t0, r, t))
+    return p0, 2 * s * (1 - s), (2 - 4 * s) * hz, *after(t0, r, t)
 
 
 @functools.cache
@@ -154,17 +105,10 @@ def prior():
             sys.modules.pop(name, None)
 
 
-def moving(before, t0, p0, known, deaf, least=200):
-    """Probability that light moves that was silent from t0 to the time known."""
-    u = max(known - t0 - deaf, 0) / max(t0 - before[0] - deaf, least)
-    nodes, table = prior()
-    return np.interp(u, nodes, table[0 if before[1] == p0 else 1][:, 4])
-
-
-def ahead(before, t0, p0, steps, r, deaf, t, least=200):
+def ahead(before, t0, p0, steps, r, t):
     if before is None:
-        return p0, 0.0, 0.0, UNKNOWN, 0.0, 0.0, 0.0, 0.0
-    gap, p, same, room = t0 - before[0] - deaf, p0, before[1] == p0, 1.0
+        return p0, 0.0, 0.0, 0.0, 0.0
+    gap, p, same, room = t0 - before[0], p0, before[1] == p0, 1.0
     if t - before[0] < STALE:
         change = r(t0)[0] - r(before[0])[0]
         if change != 0:
@@ -174,75 +118,14 @@ def ahead(before, t0, p0, steps, r, deaf, t, least=200):
             same = before[1] == p or crossed < 0.5
             gap = gap / max(crossed, 0.1)
         room = np.clip(1 - (r(t)[0] - r(t0)[0]) / steps[1 - p], 0.3, 2)
-    gap = max(gap, least)
-    u = max(t - t0 - deaf, 0) / (gap * room)
+    gap = max(gap, 200)
+    u = (t - t0) / (gap * room)
     nodes, table = prior()
     if u >= nodes[-1]:
-        return p, 0.0, 0.0, UNKNOWN, 0.0, 0.0, *after(t0, r, t)
-    fraction, rate, *spread = (
-        np.interp(u, nodes, column) for column in table[0 if same else 1].T[:4])
-    fall = 1e6 / gap if same and p == 0 else 0.0
-    fraction, rate = fraction * room, rate * 1e6 / gap
-    if deaf:
-        if t - t0 < deaf:
-            fraction = rate = 0.0
-        more, faster = in_reset(t - t0, gap, table[0 if same else 1][0, 1], deaf)
-        fraction, rate = fraction + more, rate + faster
-    return (p, fraction, rate, spread[0],
-            spread[1] * (1e6 / gap) ** 2, fall, *after(t0, r, t))
-
-
-def ahead_of_sample(before, t0, p0, deaf, t, least, rest, held, noise, sampled):
-    """As `ahead` where a sample has measured the part held, with the variance noise."""
-    nodes, table = prior()
-    if before is None:
-        return p0, held, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    gap, kind = max(t0 - before[0] - deaf, least), int(before[1] != p0)
-    active = max(t - t0 - deaf, 0)
-    u = active / gap
-    if u >= nodes[-1]:
-        return p0, held, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    fraction, rate, _, rate_var, share, spread, middle, common = (
-        np.interp(u, nodes, column) for column in table[kind].T)
-    share = max(share, 1e-6)
-    lost = table[kind][0, 1] * min(t - t0, deaf) / gap
-    s = max(active - (t - sampled), 0) / active if active else 0.0
-    # Joint normal distribution of the parts now and at the sample, of light that moves.
-    mean, slope = fraction / share, rate / share
-    then = s * mean + 4 * s * (1 - s) * (middle - mean / 2)
-    joint = s * spread**2 * max(1 - 4 * (1 - common) * (1 - s)**2, 0)
-    variance = (s * spread)**2 + max(noise, 1e-6)
-    far = held - lost - then
-    part = mean + lost + joint / variance * far
-    odds = (normal(far, variance) / normal(held, 1 / 3 + max(noise, 1e-6))
-            * (1 - rest) * share / (1 - (1 - rest) * share))
-    moves = odds / (1 + odds)
-    faster = slope + joint / variance * far / max(u, 1 / 16)
-    var = moves * (spread**2 - joint**2 / variance + (1 - moves) * (part - held)**2)
-    rate_var = moves * (max((rate_var + rate**2) / share - slope**2, 0)
-                        + (1 - moves) * faster**2)
-    return (p0, held + moves * (part - held), moves * faster * 1e6 / gap, var,
-            rate_var * (1e6 / gap)**2, 1e6 / gap if not kind and p0 == 0 else 0.0, 0.0,
-            0.0)
-
-
-def normal(x, variance):
-    return np.exp(-x**2 / 2 / variance) / np.sqrt(variance)
-
-
-def lead_variance(u, rate_var, fall, level, hz, slope_hz, sigma):
-    """Of u in u (hz + k e^u) = rate / 2 pi, k = slope_hz * level, by its derivatives.
-
-    And of what a pixel that follows its light's intensity can lose in a fall.
-    """
-    if not hz and not slope_hz:
-        return 0.0
-    k = slope_hz * level
-    lost = max(3 * (fall / (2 * np.pi) * k / (hz + k) ** 2 - 0.24), 0)
-    e = slope_hz * level * np.exp(u)
-    d = max(hz + e * (1 + u), 0.05 * (hz + e))
-    return min((rate_var / (2 * np.pi) ** 2 + (sigma * u * (hz + e)) ** 2) / d**2
-               + lost**2, 1.0)
+        return p, 0.0, 0.0, *after(t0, r, t)
+    fraction, rate = (
+        np.interp(u, nodes, column) for column in table[0 if same else 1].T[:2])
+    return p, fraction * room, rate * 1e6 / gap, *after(t0, r, t)
 
 
 def lead(slope, level, hz, slope_hz):
@@ -260,3 +143,70 @@ def lead(slope, level, hz, slope_hz):
         if abs(step) < 1e-4:
             break
     return u
+
+
+class Pixel:
+    """A pixel's events (t, p) and thresholds, its light relative to a base."""
+
+    def __init__(self, events, on, off, bandwidth=(0.0, 0.0), ripple=steady):
+        self.events, self.on, self.off = events, on, off
+        self.bandwidth, self.ripple = bandwidth, ripple
+
+    def next(self, t):
+        return sum(time <= t for time, _ in self.events)
+
+    def part(self, i, t, known, log):
+        """Thresholds crossed since event i - 1, which left log, at t; i is the next."""
+        last = self.events[i - 1] if i else (None, 0)
+        before = self.events[i - 2] if i > 1 else None
+        steps = self.on, -self.off
+        hz = self.bandwidth[0] + self.bandwidth[1] * np.exp(log)
+
+        def ripple(t):
+            return self.ripple(t, hz)
+
+        if i < len(self.events) and self.events[i][0] <= known:
+            return between(before, *last, *self.events[i], steps, ripple,
+                           hasattr(self.ripple, "lit"), t)
+        if last[0] is None or t - last[0] >= REST:
+            return last[1], 0.0, 0.0, *(after(last[0], ripple, t) if i else (0.0, 0.0))
+        if known > t:
+            return quiet(*last, known, ripple, t)
+        return ahead(before, *last, steps, ripple, t)
+
+    def sum(self, start, stop):
+        return sum(self.on if p else -self.off for _, p in self.events[start:stop])
+
+    def log(self, base, t, known):
+        """Log intensity at t, of a base before all events."""
+        i = self.next(t)
+        level = base + self.sum(0, i)
+        p, fraction, rate, ripple, slope = self.part(i, t, known, level)
+        step = self.on if p else -self.off
+        level += step * fraction + ripple
+        slope = self.mean_slope(i, t, known, level, slope + step * rate)
+        return level + lead(slope, np.exp(level), *self.bandwidth)
+
+    def mean_slope(self, i, t, known, log, slope):
+        """Slope of the output: a mean between known events over its time constant."""
+        hz = self.bandwidth[0] + self.bandwidth[1] * np.exp(log)
+        if (self.ripple is not steady or hz == 0 or not 0 < i < len(self.events)
+                or self.events[i][0] > known):
+            return slope
+        half = 1e6 / (2 * np.pi * hz) / 2
+        first = self.events[i - 2 if i > 1 else i - 1][0]
+        begin, end = max(t - half, first), min(t + half, known)
+        if begin >= end:
+            return slope
+        return (self.change(i, end, known) - self.change(i, begin, known)) / (
+            US * (end - begin))
+
+    def change(self, i, t, known):
+        """Change of the output from event i - 1 to t, linear before it."""
+        last, p = self.events[i - 1]
+        if t < last:
+            return (self.on if p else -self.off) * (t - last) / (
+                last - self.events[i - 2][0])
+        at = self.next(t)
+        p, fraction, *_ = self.part(at, t, known, 0.0)
+        return self.sum(i, at) + (self.on if p else -self.off) * fraction

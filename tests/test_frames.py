@@ -5,9 +5,8 @@ import pytest
 import reference
 from streams import feed, random_events, random_frame
 
-from pdavis_cv import ApsFrame, _kernels
+from pdavis_cv import ApsFrame
 from pdavis_cv.reconstruct.frames import FrameHold, log_exposure, log_samples
-from pdavis_cv.reconstruct.model import SAMPLE_DTYPE
 
 SHAPE = (6, 8)
 
@@ -51,25 +50,6 @@ def test_a_frame_is_shown_from_the_moment_that_hold_says(hold, at):
     estimate = method.read(at)
     np.testing.assert_array_equal(estimate.log_intensity, log)
     np.testing.assert_array_equal(estimate.valid, valid)
-
-
-def test_samples_of_the_filter_equal_their_twin():
-    rng = np.random.default_rng(4)
-    dn = rng.uniform(-1, 1023, (3, 77)).astype(np.float32)
-    dn[0, :5] = np.nan, 0.5, 1, 1023, 0
-    usable = rng.integers(0, 2, dn.shape, np.uint8)
-    exposure = rng.normal(2, 1, 77).astype(np.float32)
-    got = np.zeros(dn.shape, SAMPLE_DTYPE)
-    _kernels.kalman_samples(dn, usable, exposure, 4.0, 5.0, got)
-    want, valid = reference.log_frame(dn, usable, exposure)
-    light = np.where(dn >= 1, dn, 1).astype(float)
-    np.testing.assert_allclose(got["log"], want, atol=1e-6)
-    np.testing.assert_allclose(got["per_dn"], 1 / light, rtol=1e-6)
-    np.testing.assert_allclose(got["variance"], np.where(
-        valid != 0, (4 + light / 5) / light**2, 0), rtol=1e-6)
-    for wrong in (usable[:2], usable[:, :5].copy()):
-        with pytest.raises(ValueError, match="kalman_samples: all arrays"):
-            _kernels.kalman_samples(dn, wrong, exposure, 4.0, 5.0, got)
 
 
 def test_frames_queue_until_their_readout_has_ended():

@@ -12,9 +12,8 @@ ROOMS = ("pdavis_cv/reconstruct/kalman/*.py",
          "pdavis_cv/recording/advice.py", "pdavis_cv/fusion/learning.py",
          "pdavis_cv/fusion/online_learning.py", "pdavis_cv/fusion/events_alone.py",
          *(f"_kernels/_{name}.*" for name in (
-             "estimate", "hot", "kalman", "lag", "lamp", "lanes", "leaky", "listing",
-             "measure", "model", "reading", "redundancy", "rest", "selfcal", "smooth",
-             "smoothed", "store", "tracks", "update")))
+             "estimate", "lag", "lamp", "leaky", "model", "redundancy", "store",
+             "tracks")))
 FILES = sorted(path.relative_to(ROOT).as_posix() for room in ROOMS
                for path in ROOT.glob(room)
                if path.suffix in (".py", ".pyx", ".pxd", ".h"))

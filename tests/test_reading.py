@@ -1,128 +1,142 @@
-"""What kernels that read all pixels refuse."""
+"""Log intensity between a pixel's events, and the store that holds them."""
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies as st
+from reference_tracks import Pixel, ripple_of, steady
+from streams import random_events
 
 from pdavis_cv import _kernels
+from pdavis_cv.reconstruct.lamp import BLOCK_US, Lamplight, Wave
 from pdavis_cv.reconstruct.model import (
-    GAP_DTYPE,
-    LANE_VALUES,
-    LANES,
-    REST_PLANES,
     STATE_DTYPE,
     STORED_DTYPE,
     TRACK_DTYPE,
     TUNING_DTYPE,
     WAVE_DTYPE,
 )
+from pdavis_cv.reconstruct.tracks import Tracks
 
-SHAPE = (4, 6)
-SIZE = SHAPE[0] * SHAPE[1]
-
-
-def shown(shape=SHAPE):
-    return tuple(np.zeros(shape, kind) for kind in (np.float32, np.float32, np.uint8))
+SHAPE = (3, 4)
+BANDWIDTHS = [(0.0, 0.0), (250.0, 0.0), (20.0, 8.0), (4.0, 0.5)]
 
 
-def arguments(kernel):
+def lit(rng, blocks):
+    """A lamp's waves of some blocks from -2 on."""
+    return [Wave((k - 2) * BLOCK_US, *((
+        rng.choice([100, 120.3]), *rng.uniform(-0.2, 0.2, 2), rng.random() < 0.5)
+        if rng.random() < 0.8 else ())) for k in range(blocks)]
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 10**6), st.integers(0, 300), st.sampled_from([0.05, 0.4, 3.0]),
+       st.sampled_from(BANDWIDTHS), st.sampled_from([0, 0, 1, 40]),
+       st.sampled_from([0, 7, 49_000, 400_000]))
+def test_reading_equals_float64_evaluation(seed, n, seconds, bandwidth, blocks, wait):
+    rng = np.random.default_rng(seed)
+    stop = int(1e6 * seconds)
+    events = random_events(n, SHAPE, seed=seed, stop_us=stop)
+    states = np.zeros(SHAPE, STATE_DTYPE)
+    states["theta_on"], states["theta_off"], states["base"] = rng.uniform(
+        0.1, 0.3, (3, *SHAPE))
+    tuning = np.array([bandwidth], TUNING_DTYPE)
+    waves, lamp = lit(rng, blocks), Lamplight()
+    for wave in waves:
+        lamp.add(wave)
+    tracks = Tracks(SHAPE)
+    at = 0
+    for cut in sorted(rng.integers(0, n + 1, 3)):
+        assert tracks.push(events[at:cut], -1) == cut - at
+        at = cut
+        tracks.commit(int(events["t"][cut // 2]) if cut else 0)
+        tracks.chain    # noqa: B018
+    tracks.push(events[at:], -1)
+    after = int(events["t"][tracks.committed - 1]) if tracks.committed else 0
+    t = int(rng.integers(after, stop + 600_000))
+    out = np.full(SHAPE, np.nan, np.float32)
+    model = tuning, lamp.waves
+    _kernels.redundancy_read(t, t + wait, tracks.chain, model, states, (0, 1), out)
+    _kernels.redundancy_read(t, t + wait, tracks.chain, model, states, (1, 3), out)
+    ripple = ripple_of(waves) if len(lamp.waves) else steady
+    for y, x in np.ndindex(SHAPE):
+        mine = events[(events["y"] == y) & (events["x"] == x)]
+        pixel = Pixel([(int(e["t"]), int(e["p"])) for e in mine],
+                      states["theta_on"][y, x], states["theta_off"][y, x], bandwidth,
+                      ripple)
+        want = pixel.log(states["base"][y, x], t, t + wait)
+        assert out[y, x] == pytest.approx(want, abs=4e-3), (y, x)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_moved_out_of_the_store_is_not_missed(seed, monkeypatch):
+    monkeypatch.setattr("pdavis_cv.reconstruct.tracks._LEAST", 16)
+    rng = np.random.default_rng(seed)
+    events = random_events(3000, SHAPE, seed=seed)
+    small, other = Tracks(SHAPE), Tracks(SHAPE)
+    other.store = np.zeros(4000, STORED_DTYPE)
+    states = np.zeros(SHAPE, STATE_DTYPE)
+    states["theta_on"] = states["theta_off"] = 0.2
+    model = np.zeros(1, TUNING_DTYPE), np.zeros(0, WAVE_DTYPE)
+    at = 0
+    for cut in [*sorted(rng.integers(0, 3000, 40)), 3000]:
+        for one in (small, other):
+            one.push(events[at:cut], -1)
+        at = cut
+        seen = []
+        for one in (small, other):
+            one.commit(int(events["t"][max(cut - 30, 0)]))
+            out = np.zeros(SHAPE, np.float32)
+            _kernels.redundancy_read(
+                int(events["t"][cut - 1]) if cut else 0, 10**7, one.chain, model,
+                states, (0, 3), out)
+            seen.append(out)
+        np.testing.assert_array_equal(*seen)
+        if cut % 3 == 0:
+            kept = small.state()
+            small = Tracks(SHAPE)
+            small.restore(kept)
+    assert len(small.store) < 1000
+    assert len(other.store) == 4000
+
+
+def arguments():
     store, tuning = np.zeros(1, STORED_DTYPE), np.zeros(1, TUNING_DTYPE)
     tracks, states = np.zeros(SHAPE, TRACK_DTYPE), np.zeros(SHAPE, STATE_DTYPE)
     tracks["first"] = -1
-    gaps, flags = np.zeros((0, 0), GAP_DTYPE), np.zeros(SHAPE, np.uint8)
-    pixels = np.arange(SIZE, dtype=np.int32)
-    planes = np.zeros((REST_PLANES, *SHAPE), np.float32)
-    return {
-        _kernels.kalman_read: dict(
-            t=5, known=5, epoch=0, chain=(store, tracks),
-            model=(tuning, np.zeros(0, WAVE_DTYPE)), states=states, rows=(0, 4),
-            shown=shown()),
-        _kernels.kalman_rest: dict(
-            now=5, epoch=0, every=True, tuning=tuning, tracks=tracks, states=states,
-            gaps=gaps, listing=(pixels, flags), planes=planes),
-        _kernels.kalman_show: dict(
-            t=5, known=5, epoch=0, chain=(store, tracks), tuning=tuning, states=states,
-            gaps=gaps, listing=(
-                pixels[:3], 2, flags, np.zeros((1, LANE_VALUES, LANES), np.float32)),
-            planes=planes, rows=(0, 4), shown=shown()),
-        _kernels.store_mark: dict(
-            store=store, start=0, stop=1, pixels=pixels, listed_before=0,
-            listed=flags),
-    }[kernel]
+    return dict(
+        t=5, known=5, chain=(store, tracks), model=(tuning, np.zeros(0, WAVE_DTYPE)),
+        states=states, rows=(0, 3), log=np.zeros(SHAPE, np.float32))
 
 
-def listing(pixels=(0, 1, 2), ordered=2, shape=SHAPE, lanes=(1, LANE_VALUES, LANES)):
-    return (np.array(pixels, np.int32), ordered, np.zeros(shape, np.uint8),
-            np.zeros(lanes, np.float32))
-
-
-@pytest.mark.parametrize(("kernel", "changes", "message"), [
-    (_kernels.kalman_read, {"shown": shown((4, 5))}, "kalman_read: all images"),
-    (_kernels.kalman_read, {"rows": (0, 5)}, "kalman_read: rows must lie"),
-    (_kernels.kalman_read, {"chain": (np.zeros(0, STORED_DTYPE), np.zeros(
-        SHAPE, TRACK_DTYPE))}, "kalman_read: tuning or store"),
-    (_kernels.kalman_rest, {"planes": np.zeros((6, *SHAPE), np.float32)},
-     "kalman_rest: all images"),
-    (_kernels.kalman_rest, {"tuning": np.zeros(2, TUNING_DTYPE)},
-     "kalman_rest: tuning"),
-    (_kernels.kalman_show, {"listing": listing(pixels=(0, 1, SIZE))},
-     "kalman_show: pixels must lie"),
-    (_kernels.kalman_show, {"listing": listing(pixels=(-1, 1, 2))},
-     "kalman_show: pixels must lie"),
-    (_kernels.kalman_show, {"listing": listing(ordered=4)},
-     "kalman_show: an array has"),
-    (_kernels.kalman_show, {"listing": listing(lanes=(0, LANE_VALUES, LANES))},
-     "kalman_show: lanes must have room"),
-    (_kernels.kalman_show, {"listing": listing(lanes=(1, LANE_VALUES - 1, LANES))},
-     "kalman_show: lanes must have room"),
-    (_kernels.kalman_show, {"gaps": np.zeros(SHAPE, GAP_DTYPE)},
-     "kalman_show: all images"),
-    (_kernels.kalman_show, {"rows": (-1, 4)}, "kalman_show: rows must lie"),
-    (_kernels.store_mark, {"stop": 2}, "store_mark: indices"),
-    (_kernels.store_mark, {"pixels": np.zeros(3, np.int32)}, "store_mark: pixels"),
-])
-def test_what_does_not_fit_is_refused(kernel, changes, message):
-    kernel(*arguments(kernel).values())
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"log": np.zeros((4, 5), np.float32)}, "all images must have one shape"),
+    ({"states": np.zeros((2, 4), STATE_DTYPE)}, "all images must have one shape"),
+    ({"rows": (0, 5)}, "rows must lie"), ({"rows": (-1, 3)}, "rows must lie"),
+    ({"chain": (np.zeros(0, STORED_DTYPE), np.zeros(SHAPE, TRACK_DTYPE))},
+     "tuning or store"),
+    ({"model": (np.zeros(2, TUNING_DTYPE), np.zeros(0, WAVE_DTYPE))},
+     "tuning or store")])
+def test_what_does_not_fit_is_refused(changes, message):
+    _kernels.redundancy_read(*arguments().values())
     with pytest.raises(ValueError, match=message):
-        kernel(*{**arguments(kernel), **changes}.values())
+        _kernels.redundancy_read(*{**arguments(), **changes}.values())
 
 
 def test_an_array_that_is_none_is_refused():
-    for kernel, name in ((_kernels.kalman_read, "shown"), (
-            _kernels.kalman_rest, "listing"), (_kernels.kalman_show, "listing")):
-        given = arguments(kernel)
-        given[name] = (*given[name][:-1], None)
-        with pytest.raises(TypeError, match="must be arrays, got None"):
-            kernel(*given.values())
+    given_ = arguments()
+    given_["chain"] = (*given_["chain"][:-1], None)
+    with pytest.raises(TypeError, match="must be arrays, got None"):
+        _kernels.redundancy_read(*given_.values())
 
 
-def test_pixels_of_stored_events_are_listed_once_and_marked():
-    store, flags = np.zeros(3, STORED_DTYPE), np.zeros(SHAPE, np.uint8)
-    store["x"], store["y"] = (1, 5, 1), (0, 3, 0)
-    pixels = np.full(SIZE, -1, np.int32)
-    flags[3, 5], pixels[0] = 5, 23
-    assert _kernels.store_mark(store, 0, 3, pixels, 1, flags) == 2
-    assert pixels[:3].tolist() == [23, 1, -1]
-    # Only the new one has no lane yet (16).
-    assert flags[0, 1] == 19
-    assert flags[3, 5] == 3
-    assert flags.sum() == 22
-
-
-def test_pixels_that_keep_their_place_in_the_list_keep_their_lanes():
-    given = arguments(_kernels.kalman_rest)
-    given["now"], given["every"] = 5_000_000, False
-    given["tracks"]["last"] = 2 * given["now"]      # all of them may be moving
-    given["tracks"]["last"][0, 2] = 0
-    pixels, flags = given["listing"]
-    pixels[:] = -1
-    pixels[:6] = 0, 1, 2, 4, 3, 5
-    flags.flat[:6] = 1, 3, 1, 1, 1, 1
-    assert _kernels.kalman_rest(*given.values()) == 5
-    assert pixels[:5].tolist() == [0, 1, 3, 4, 5]
-    # 3 and 5 have moved up, 4 was there already; 2 has come to rest.
-    assert flags.flat[:6].tolist() == [1, 3, 0, 19, 1, 19]
-    flags.flat[:6] = 1, 3, 0, 1, 1, 1
-    assert _kernels.kalman_rest(*given.values()) == 5
-    assert flags.flat[:6].tolist() == [1, 3, 0, 1, 1, 1]
-    given["every"] = True
-    assert _kernels.kalman_rest(*given.values()) == SIZE - 1
-    assert set(np.delete(flags.ravel(), 2).tolist()) == {19}
+def test_the_store_takes_events_up_to_a_bad_one():
+    store = np.zeros(8, STORED_DTYPE)
+    events = random_events(6, SHAPE).copy()
+    assert _kernels.store_push(events, 0, 1, store, *SHAPE) == 6
+    assert store["t"][1:7].tolist() == events["t"].tolist()
+    events["x"][4] = 9
+    assert _kernels.store_push(events, 0, 0, store, *SHAPE) == 4
+    assert _kernels.store_push(events, 10**9, 0, store, *SHAPE) == 0
+    with pytest.raises(ValueError, match="store must have room"):
+        _kernels.store_push(events, 0, 3, store, *SHAPE)
+    with pytest.raises(ValueError, match="indices must lie in store"):
+        _kernels.store_link(store, 0, 9, np.zeros(SHAPE, TRACK_DTYPE))

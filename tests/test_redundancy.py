@@ -85,7 +85,6 @@ def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):
         log = np.log(1 + 0.8 * np.cos(0.3 * k + phase)) - gains + states["base"]
         log = log + rng.normal(0, noise, shape)
         on, off = rng.poisson(0.6, (2, *shape))
-        flags = np.zeros(shape, np.uint8)
         tracks["n_on"], tracks["n_off"] = on, off
         # The base from which these counts lead to that log.
         states["base"] = log - states["theta_on"] * on + states["theta_off"] * off
@@ -93,16 +92,11 @@ def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):
             twin.base = of(states["base"], *at).copy()
         _kernels.redundancy_sample(
             k, k, (store, tracks), store, (TUNING, np.zeros(0, WAVE_DTYPE)), POLICY,
-            (states, balance, moments), flags)
-        whole = flags[:2 * rows, :2 * columns]
-        assert np.array_equal(whole == 18, cells(on + off, whole.shape) > 0)
+            (states, balance, moments))
         for at, twin in twins.items():
             twin.sample(of(log, *at), of(on, *at), of(off, *at))
         if k % 5 == 4:
-            flags[:] = 0
-            before = states["base"].copy()
-            _kernels.redundancy_solve(POLICY, moments, states, flags)
-            assert np.all(flags[states["base"] != before] == 18)
+            _kernels.redundancy_solve(POLICY, moments, states)
             for twin in twins.values():
                 twin.solve(PULL, LEAST)
     for at, twin in twins.items():
@@ -128,13 +122,6 @@ def arrays(shape):
             moments)
 
 
-def cells(counts, shape):
-    """Sums over macropixels, by pixel."""
-    rows, columns = shape[0] // 2, shape[1] // 2
-    sums = counts[:shape[0], :shape[1]].reshape(rows, 2, columns, 2).sum((1, 3))
-    return sums.repeat(2, 0).repeat(2, 1)
-
-
 def one_event_each(shape):
     store = np.zeros(shape[0] * shape[1], STORED_DTYPE)
     store["y"], store["x"] = (places.ravel() for places in np.indices(shape))
@@ -147,14 +134,13 @@ def test_kernels_refuse_arrays_that_do_not_fit():
     states, tracks, balance, moments = arrays(shape)
     store, waves = one_event_each(shape), np.zeros(0, WAVE_DTYPE)
 
-    def sample(tuning, policy, states, balance, moments, flags, store=store):
+    def sample(tuning, policy, states, balance, moments, store=store):
         _kernels.redundancy_sample(0, 0, (store, tracks), store, (tuning, waves),
-                                   policy, (states, balance, moments), flags)
+                                   policy, (states, balance, moments))
 
-    flags = np.zeros(shape, np.uint8)
-    shaped = [TUNING, POLICY, states, balance, moments, flags]
+    shaped = [TUNING, POLICY, states, balance, moments]
     sample(*shaped)
-    for i in range(6):
+    for i in range(5):
         wrong = [*shaped]
         wrong[i] = np.concatenate([wrong[i], wrong[i]])
         with pytest.raises(ValueError, match="redundancy_sample: "):
@@ -162,9 +148,9 @@ def test_kernels_refuse_arrays_that_do_not_fit():
     with pytest.raises(ValueError, match="redundancy_sample: an array has a wrong"):
         sample(*shaped, store=store[:0])
     with pytest.raises(TypeError, match="must be arrays, got None"):
-        sample(*shaped[:-2], None, flags)
-    solved = [POLICY, moments, states, flags]
-    for i in range(4):
+        sample(*shaped[:-1], None)
+    solved = [POLICY, moments, states]
+    for i in range(3):
         wrong = [*solved]
         wrong[i] = np.concatenate([wrong[i], wrong[i]])
         with pytest.raises(ValueError, match="redundancy_solve: "):
@@ -204,7 +190,7 @@ def test_macropixels_that_are_solved_together_do_not_depend_on_each_other():
         if rng.random() < 0.2:
             cell["product"][[1, 4, 5, 6]] = 0
     states["base"] = rng.normal(size=shape)
-    alone = [one.copy() for one in (moments, states, np.zeros(shape, np.uint8))]
+    alone = [one.copy() for one in (moments, states)]
     for r, c in np.ndindex(moments.shape):
         parts = [alone[0][r:r + 1, c:c + 1].copy(), *(
             one[2 * r:2 * r + 2, 2 * c:2 * c + 2].copy() for one in alone[1:])]
@@ -212,9 +198,9 @@ def test_macropixels_that_are_solved_together_do_not_depend_on_each_other():
         alone[0][r:r + 1, c:c + 1] = parts[0]
         for whole, part in zip(alone[1:], parts[1:], strict=True):
             whole[2 * r:2 * r + 2, 2 * c:2 * c + 2] = part
-    before, flags = moments.copy(), np.zeros(shape, np.uint8)
-    _kernels.redundancy_solve(POLICY, moments, states, flags)
-    for got, want in zip((moments, states, flags), alone, strict=True):
+    before = moments.copy()
+    _kernels.redundancy_solve(POLICY, moments, states)
+    for got, want in zip((moments, states), alone, strict=True):
         assert got.tobytes() == want.tobytes()
     due = (before["since"] > 0) & (before["weight"] >= LEAST)
     np.testing.assert_array_equal(moments[~due], before[~due])

@@ -21,13 +21,7 @@ from pdavis_cv.reconstruct.stream_clock import (
     checked_bandwidth,
     checked_threshold,
 )
-from pdavis_cv.reconstruct.tracks import (
-    LONG_AGO,
-    LOOKAHEAD_US,
-    Reader,
-    Tracks,
-    as_bytes,
-)
+from pdavis_cv.reconstruct.tracks import LOOKAHEAD_US, Tracks, as_bytes
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["BALANCE_DTYPE", "MOMENTS_DTYPE", "POLICY_DTYPE", "EventRedundancy"]
@@ -85,8 +79,8 @@ smallest eigenvalues and the smallest one."""
 _SOLVE_NS = 80
 """Time that a macropixel takes per solution, ns, if 2 of 5 had events (measured)."""
 
-# Empty: variance and validity are not read, as a reader knows only those of frames.
-_NOT_ASKED = np.empty((0, 0), np.float32), np.empty((0, 0), np.uint8)
+_READ_NS = 14.0
+"""Time that a pixel takes in an image, ns (measured)."""
 
 
 class EventRedundancy(Reconstructor):
@@ -112,7 +106,8 @@ class EventRedundancy(Reconstructor):
     lookahead_us : int
         How long to wait for each pixel's next event, us; 0 = not at all.
     bandwidth : (float, float) or (float, float, float), optional
-        As for `KalmanFilter`.
+        (hz, hz_per_intensity, ...) of the photoreceptors: corner frequency, Hz, and its
+        increase per DN/ms; default: no lag is taken out.
     ratio_sigma : float
         Prior standard deviation of ln(theta_on / theta_off) from pixel to pixel; `fuse`
         learns it from the events if it is not given.
@@ -163,8 +158,7 @@ class EventRedundancy(Reconstructor):
         self._balance["null"] = null_of(self._response, self.shape)
         self._moments = np.zeros(cells, MOMENTS_DTYPE)
         self._moments["ratio"] = self._moments["smallest"] = 1
-        self._tracks = Tracks(self.shape, self.lookahead_us)
-        self._reader = Reader(self.shape)
+        self._tracks = Tracks(self.shape)
         self._clock = StreamClock(self.shape)
         self._lamp = Lamplight()
         self._next: int | None = None   # number of the next comparison
@@ -175,10 +169,8 @@ class EventRedundancy(Reconstructor):
         self._solved: NDArray[np.float32] | None = None
 
     def _tune(self) -> None:
-        for name, value in zip(
-                ("bandwidth_hz", "bandwidth_hz_per_intensity", "bandwidth_sigma"),
-                self._bandwidth, strict=True):
-            self._tuning[name] = value
+        self._tuning["bandwidth_hz"] = self._bandwidth[0]
+        self._tuning["bandwidth_hz_per_intensity"] = self._bandwidth[1]
 
     def retune(self, **learned: Any) -> None:
         """Continue with other thresholds, bandwidth or spread (see `Reconstructor`).
@@ -238,7 +230,7 @@ class EventRedundancy(Reconstructor):
         """Take events (see `Reconstructor.add_events`)."""
         events = timed_events(events)
         self._fed += 1
-        taken = self._tracks.push(events, self._clock.last_us, self._reader)
+        taken = self._tracks.push(events, self._clock.last_us)
         if taken and self._next is None:
             self._next = int(events["t"][0]) // STEP_US + 1
         try:
@@ -281,12 +273,11 @@ class EventRedundancy(Reconstructor):
             tracks.commit(t)
             self._next = k + 1
             if tracks.committed != before:
-                tracks.chain_pending()
                 _kernels.redundancy_sample(
-                    t, t + self.lookahead_us, (tracks.store, tracks.tracks),
+                    t, t + self.lookahead_us, tracks.chain,
                     tracks.store[before:tracks.committed],
                     (self._tuning, self._lamp.waves), self._policy,
-                    (self._states, self._balance, self._moments), self._reader.flags)
+                    (self._states, self._balance, self._moments))
                 self._unsolved = True
             else:
                 # Skip to the next event or the next solution, whichever is first.
@@ -307,7 +298,7 @@ class EventRedundancy(Reconstructor):
         """Solve for the gains of the macropixels in some rows of them."""
         pixels = slice(2 * first, 2 * last)
         _kernels.redundancy_solve(self._policy, self._moments[first:last],
-                                  self._states[pixels], self._reader.flags[pixels])
+                                  self._states[pixels])
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the log intensity at t_us (see `Reconstructor.read`)."""
@@ -332,11 +323,10 @@ class EventRedundancy(Reconstructor):
         return one
 
     def _estimate(self, t: int, log: NDArray[np.float32]) -> Estimate:
-        rest = min(t, max(self._clock.last_us, LONG_AGO) - self.lookahead_us)
-        self._reader.read(
-            t, t + self.lookahead_us, rest, 0, self._tracks.chain, self._states,
-            (self._tuning, self._lamp.waves),
-            (log, *_NOT_ASKED), self.workers)
+        chain, model = self._tracks.chain, (self._tuning, self._lamp.waves)
+        self.workers.rows(len(log), lambda first, last: _kernels.redundancy_read(
+            t, t + self.lookahead_us, chain, model, self._states, (first, last), log),
+            row_ns=_READ_NS * log.shape[1])
         ratio, smallest = self._solution
         return Estimate(log, smallest.copy(), ratio < VALID_QUALITY)
 
@@ -380,7 +370,6 @@ class EventRedundancy(Reconstructor):
     def _changed(self) -> None:
         """Invalidate everything cached from the state."""
         self._fed += 1
-        self._reader.forget()
 
 
 def null_of(

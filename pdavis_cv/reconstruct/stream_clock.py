@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold
@@ -14,8 +14,7 @@ from pdavis_cv.events import bad_event, checked_time, timed_events
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["BANDWIDTH_SIGMA", "NEVER", "StreamClock", "checked_bandwidth",
-           "checked_duration", "checked_noise", "checked_threshold",
-           "checked_threshold_sigma", "steps"]
+           "checked_threshold", "steps"]
 
 BANDWIDTH_SIGMA = 0.03
 """Relative standard error of a bandwidth that is stated without one."""
@@ -140,35 +139,3 @@ def checked_bandwidth(value: Sequence[float] | None) -> tuple[float, float, floa
             "bandwidth must hold finite numbers that are not negative, got "
             f"{value!r}")
     return hz, slope, sigma
-
-
-def checked_threshold_sigma(
-    value: ArrayLike, shape: tuple[int, int]
-) -> NDArray[np.float64]:
-    """Return the prior sigmas (ON, OFF), shape (2,) or (2, H, W), checked."""
-    sigma = np.array(value, np.float64)
-    if sigma.shape not in ((), (2,), (2, *shape)):
-        raise ValueError(
-            f"threshold_sigma must be a scalar or have shape (2,) or {(2, *shape)}, "
-            f"got {sigma.shape}")
-    if not np.all(np.isfinite(sigma) & (sigma >= 0)):
-        raise ValueError("threshold_sigma must be finite and not negative")
-    return sigma if sigma.ndim else np.array([sigma, sigma])
-
-
-def checked_noise(value: Sequence[float]) -> tuple[float, float, float, float]:
-    """Return `noise` of `KalmanFilter`, checked; its fourth number defaults to 1."""
-    parts = [float(part) for part in value]
-    if len(parts) not in (3, 4) or not all(np.isfinite(x) and x >= 0 for x in parts):
-        raise ValueError(
-            "noise must be three or four finite numbers that are not negative, got "
-            f"{value!r}")
-    sigma, per_s, per_event, share = (*parts, 1.0)[:4]
-    return sigma, per_s, per_event, share
-
-
-def checked_duration(name: str, value: float) -> float:
-    """Return a time in us, checked; name is that of the argument."""
-    if not (np.isfinite(value) and value >= 0):
-        raise ValueError(f"{name} must be finite and not negative, got {value}")
-    return float(value)
