@@ -45,6 +45,17 @@ def test_pages_name_no_command_that_there_is_not(root):
         assert set(named) <= set(COMMANDS), page
 
 
+def test_what_pages_run_of_the_lab_can_be_run(root):
+    for page in pages(root):
+        text = page.read_text()
+        for name in re.findall(r"python -m (lab(?:\.\w+)+)", text):
+            at = root / name.replace(".", "/")
+            assert (at / "__main__.py").exists() or at.with_suffix(".py").exists(), (
+                page, name)
+        for script in re.findall(r"python ((?:lab|tests)/[a-z\d_/]+\.py)", text):
+            assert (root / script).exists(), (page, script)
+
+
 def test_every_file_that_a_page_links_to_exists(root):
     for page in pages(root):
         for link, anchor in re.findall(

@@ -135,8 +135,8 @@ def add_fuse_options(parser: argparse.ArgumentParser) -> None:
     add_source_options(parser, ("layout",))
     group.add_argument(
         "--set", action="append", default=[], type=setting, metavar="NAME=VALUE",
-        dest="settings", help="a parameter of the method, e.g. cutoff_hz=1.6, "
-                              "bandwidth=250,0 or mode=offline")
+        dest="settings", help="a parameter of the method, e.g. cutoff_hz=1.6 "
+                              "or mode=offline")
 
 
 def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, Any]:

@@ -148,7 +148,7 @@ def setting(text: str) -> tuple[str, Any]:
 
 
 def _several(text: str) -> tuple[float, ...]:
-    """Parse numbers separated by commas, as in bandwidth=250,0."""
+    """Parse numbers separated by commas, as in thresholds=0.29,0.32."""
     return tuple(float(part) for part in text.split(","))
 
 

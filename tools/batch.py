@@ -75,7 +75,7 @@ def _parser() -> argparse.ArgumentParser:
         dest="settings", type=_setting,
         help="an option of fuse or a parameter of the method; several values are "
              "combined with those of all other settings; numbers of one value are "
-             "separated by slashes: bandwidth=250/0")
+             "separated by slashes: thresholds=0.29/0.32")
     parser.add_argument(
         "--work", default="export", metavar="WORK",
         help=f"{', '.join(batch.WORKS)}, or MODULE:FUNCTION of your own; default "

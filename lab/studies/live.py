@@ -1,4 +1,4 @@
-"""What `docs/live.md` says of speed: latency, a browser, bursts, the bridge.
+"""What `lab/docs/live.md` says of speed: latency, a browser, bursts, the bridge.
 
 python lab/studies/live.py image FOLDER   event to image, 1 Mev/s, 60 images/s
 python lab/studies/live.py page FOLDER    event to drawn, and images drawn, in Chromium
