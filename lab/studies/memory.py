@@ -1,7 +1,7 @@
 """Memory of long runs at 346x260 pixels: a stream of an hour, and kept snapshots.
 
-python lab/studies/memory.py stream [--minutes 60]      one pass, kalman, causal
-python lab/studies/memory.py snapshots [--seconds 60]   a VideoCapture read to the end
+python -m lab.studies.memory stream [--minutes 60]      one pass, kalman, causal
+python -m lab.studies.memory snapshots [--seconds 60]   a VideoCapture read to the end
 
 Uniform events, 33 thousand per second, and 25 frames per second.  The stream's bound
 is 300 MB resident.  A `Cursor` keeps snapshots of at most 256 MiB: that, and a tenth,
@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -76,8 +77,9 @@ def grown_mb(path: Path, options: dict[str, Any]) -> tuple[float, float]:
 
 def apart(function: Callable[..., Any], *given: Any) -> Any:
     """Call a function in a process of its own, with memory of its own."""
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(function, given)
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=spawn) as pool:
+        return pool.submit(function, *given).result()
 
 
 def snapshots(seconds: float) -> bool:

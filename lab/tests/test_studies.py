@@ -15,6 +15,7 @@ LONG = ("batch", "demosaic_constants", "demosaic_events", "event_scale", "held_c
 def study(monkeypatch):
     """Import a study as when it is run: its folder on the path."""
     monkeypatch.syspath_prepend(str(STUDIES))
+    monkeypatch.syspath_prepend(str(STUDIES.parents[1]))    # a study's processes too
     before = set(sys.modules)
     yield lambda name: importlib.import_module(name)
     for name in set(sys.modules) - before:
