@@ -377,7 +377,7 @@ class HarmonicFit:
         ----------
         t_us : int
             Middle of its exposure.
-        image : array_like, shape (signals, *shape)
+        image : array_like, shape ``(signals, *shape)``
             Values; a pixel with one that is not finite is left out.
         exposure_us : float
             Length of the exposure.
