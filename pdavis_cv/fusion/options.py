@@ -118,8 +118,8 @@ class FusionOptions(Options):
         False, "bool",
         "Make each image only from data that had arrived by its time: a frame is used "
         "from the end of its readout on, otherwise from its mid-exposure on.  "
-        "Parameters of the camera are then estimated while the stream passes, 0.5, 1, "
-        "2, 4 s ... after the first frame, and used from there on.", "flag",
+        "Parameters of the camera are then estimated while the stream passes, 0.12, "
+        "0.24, 0.48 ... s after the first frame, and used from there on.", "flag",
         "make each image only from data that had arrived by its time")
     thresholds: str | tuple[ArrayLike, ArrayLike] | None = option(
         None, "str or (on, off), optional",

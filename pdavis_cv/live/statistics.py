@@ -19,7 +19,7 @@ JUMPS_S = 30.0
 cheaper method; a single jump may be due to a burst of events."""
 SETTLING_S = 4.0
 """Jumps up to this host time after the first image do not count, s: the camera's
-parameters are estimated then, at 0.5, 1, 2 and 4 s, which costs more than later."""
+parameters are estimated six times until then, which costs more than later."""
 
 
 class Patience:
