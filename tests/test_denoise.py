@@ -71,7 +71,7 @@ def test_noise_and_hot_pixels_go_and_true_events_stay():
 @pytest.mark.parametrize("options", [
     {"method": "events"}, {"method": "events", "offsets": "redundancy"},
     {"method": "cf"},
-    {"method": "kalman", "bandwidth": None},
+    {"method": "kalman", "mode": "offline"},
     {"method": "kalman", "causal": True}])
 def test_every_method_takes_it_and_regions_and_seeks_stay_exact(options):
     camera = Camera.preset("nominal", seed=2, size=(24, 26),

@@ -74,7 +74,6 @@ def scored(recording, truth, **options):
 @pytest.mark.gate
 @pytest.mark.parametrize(("camera", "options"), [
     ("nominal", {"causal": True}), ("nominal", {}), ("nominal", {"mode": "offline"}),
-    ("realistic", {}),
 ])
 def test_one_sigma_covers_about_two_thirds_of_the_errors(recorded, camera, options):
     score = scored(*recorded[camera], nominal_thresholds=(0.16, 0.18), **options)

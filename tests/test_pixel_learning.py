@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from pdavis_cv import _kernels, fuse
+from pdavis_cv import ApsFrame, _kernels, fuse
+from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.export.files import write_json
 from pdavis_cv.pixel.learn import LearnedPixels, Priors, learn
 from pdavis_cv.pixel.model import PixelModel
@@ -218,3 +219,27 @@ def test_a_learned_camera_is_written_as_numbers(tmp_path):
     found = json.loads((tmp_path / "a.json").read_text())["model"]
     assert found["theta"] == [0.25, 0.2]
     assert found["black"] == 1.5
+
+
+def test_a_busy_sensor_is_sampled_by_fewer_pixels_for_longer():
+    rng = np.random.default_rng(7)
+    sample, shape = PixelSample((64, 64)), (64, 64)
+    for part in range(6):
+        events, begin = np.zeros(400_000, EVENT_DTYPE), part * 100_000
+        events["t"] = np.sort(rng.integers(begin, begin + 100_000, 400_000))
+        events["x"], events["y"] = rng.integers(0, 64, (2, 400_000))
+        sample.add_frame(ApsFrame(np.full(shape, 100.0), begin, begin))
+        sample.add_events(events)
+    data = sample.sampled()
+    assert 256 <= len(sample.pixels) < 64 * 64
+    assert len(data.t) <= 1_000_000
+    assert data.t[0] < 1000     # all of the time
+    assert data.t[-1] > 599_000
+    assert len(data.frames) == 6
+    assert {len(frame.dn) for frame in data.frames} == {len(sample.pixels)}
+    counts = np.diff(data.start)
+    assert counts.min() > 0.7 * counts.mean()           # all events of those pixels
+    other = PixelSample(shape)
+    other.restore(sample.state())
+    np.testing.assert_array_equal(other.sampled().events, data.events)
+    np.testing.assert_array_equal(other.pixels, sample.pixels)

@@ -46,17 +46,14 @@ def test_sony_frames_lose_the_angle_where_noise_or_clipping_says():
 def test_slow_photoreceptors_turn_the_angle_by_their_lag():
     # Intensity goes round at twice the polarizer's speed; its phase lags by
     # atan(f / fc), the angle by half of it.  Light varies, and the corner with it, by
-    # ER 40: the lag at the mean light is an estimate.  `kalman` finds the corner in the
-    # recording, and takes most of the lag off.
+    # ER 40: the lag at the mean light is an estimate.
     level = 0.08
     mean_dn_ms = EVENT_DN * level / 2
     corner = PRESETS["realistic"]["dvs"].cutoff_hz_per_dn_ms * mean_dn_ms
     lag = math.degrees(math.atan(2 * correct_span.RPM * OFF_LOCK / 60 / corner)) / 2
     take = correct_span._take("realistic", level, 1)
-    late, found = (correct_span.level_of(take, "realistic", method, level).error_deg
-                   for method in ("events, redundancy", "kalman"))
-    assert late == pytest.approx(lag, rel=0.3)
-    assert found < 0.3 * lag
+    late = correct_span.level_of(take, "realistic", "events, redundancy", level)
+    assert late.error_deg == pytest.approx(lag, rel=0.3)
 
 
 def test_the_page_sets_the_paper_beside():

@@ -9,7 +9,7 @@ from pdavis_cv.fusion.learning import Learned, Learning
 
 __all__ = ["FIRST_LOOK_S", "OnlineLearning"]
 
-FIRST_LOOK_S = 0.12
+FIRST_LOOK_S = 0.125
 """Time of the first estimate from a passing stream, in s of stream time after the first
 frame; the next ones follow at twice, four times ... that.  Engineering choice: three
 or four frames of the paper's cameras."""

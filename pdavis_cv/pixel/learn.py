@@ -38,8 +38,9 @@ COMMON_ERROR, COMMON_PAIRS = 30.0, 3.0
 COUNT_NOISE = 0.16
 """Largest variance of the error of a difference of counts, thresholds^2."""
 
-BETTER_REST = 0.02
-"""Fall of -2 ln L per row for which another rest time is taken."""
+BETTER = 0.02
+"""Fall of -2 ln L per row for which a clock offset or another rest time is taken: what
+no row shows is not made likely by their number."""
 
 LAG_OF_GAP = 0.035
 """Standard deviation of the lag of interpolated counts, in mean gaps between events."""
@@ -298,18 +299,23 @@ def _fitted(
     effect = _effect(data, pairs, likeliest)
     first, *starts = (tried(_changed(one, effect=effect), (), 0)
                       for one in (first, *starts))
-    best = first
+    best, law = first, ["f0", "slope"]
+    lag = [name for name in ("lag",) if name in numbers]
     clock = [name for name in ("shift", "lag") if name in numbers]
-    if "shift" in numbers:
-        other = min((tried(one, clock) for one in starts), key=lambda one: one.cost)
-        best = other if other.cost < best.cost - EVIDENCE else best
-    used = clock if best.shift_us else []
-    lag = used or [name for name in ("lag",) if name in numbers]
-    for names in ([*lag, "f0", "slope"], [*clock, "f0", "slope"]):
-        other = tried(best, names)
-        if other.cost < best.cost - EVIDENCE:
+    slow = tried(first, [*lag, *law])
+    light = float(np.median(pairs.dn / pairs.ms))
+    if slow.cost < best.cost - EVIDENCE and _slower(priors, slow.model, light):
+        best = slow
+    for start in starts:
+        other = tried(start, clock)
+        # Clearly likelier than a photoreceptor that is slow.
+        if other.cost < best.cost - EVIDENCE and (
+                best is not slow or other.per_row < best.per_row - BETTER):
             best = other
     used = clock if best.shift_us else lag
+    other = tried(best, [*used, *law])
+    if other.cost < best.cost - EVIDENCE:
+        best = other
     if "black" in numbers:
         held = {"black": numbers["black"]}
         ms = float(np.median(pairs.ms))
@@ -323,13 +329,12 @@ def _fitted(
             best = other
     for rest in RESTS_S[1:]:
         other = tried(_with(best, rest_s=rest), (), 2)
-        if other.per_row < best.per_row - BETTER_REST:
+        if other.per_row < best.per_row - BETTER:
             best = other
     sigmas = dict(_descended(data, pairs, priors, best, numbers, 1).sigmas)
     if "shift" in sigmas:
         # Of the lag of the photoreceptor and that of the clock, frames see the sum: the
         # split is that of the prior.
-        light = float(np.median(pairs.dn / pairs.ms))
         corner = best.model.bandwidth[0] + best.model.bandwidth[1] * light
         lag_us = 1e6 / (2 * math.pi * corner) if corner > 0 else 0.0
         sigmas["shift"] = math.hypot(
@@ -339,6 +344,13 @@ def _fitted(
                       steps=EM_STEPS)
     best = _changed(best, sigmas={**sigmas, **best.sigmas})
     return _honest(data, every, priors, best)
+
+
+def _slower(priors: Priors, model: PixelModel, light: float) -> bool:
+    """Whether photoreceptors are slower than usual, by four sigmas at most."""
+    usual, found = (law[0] + law[1] * light for law in (
+        priors.bandwidth, model.bandwidth))
+    return 0 < found <= usual <= found * math.exp(4 * priors.bandwidth_sigma[0])
 
 
 def _honest(data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit) -> _Fit:

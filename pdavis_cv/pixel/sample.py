@@ -19,6 +19,10 @@ neighbours are kept as well."""
 MAX_FRAMES, MAX_US, MAX_EVENTS = 100, 10_000_000, 1_000_000
 """Upper bounds of the window: frames, time, events (13 MB)."""
 
+LEAST_US, LEAST_PATCHES = 1_000_000, 16
+"""Time that the window holds if need be of half the squares, a quarter ..., and the
+fewest of them: some twenty frames tell more than all pixels of two."""
+
 PAST_DTYPE = np.dtype([
     ("t", "<i8"), ("total", "<f4", 10), ("before", "<f4"), ("weight", "<f4"),
     ("sign", "i1"), ("context", "i1"), ("run", "i1"), ("spare", "i1"),
@@ -92,19 +96,40 @@ class PixelSample:
         rows, columns = -(-height // PATCH), -(-width // PATCH)
         number = max(MAX_PIXELS // PATCH**2, 1)
         # The same patches each time; all of them on a small sensor.
-        chosen = np.random.default_rng(0).permutation(rows * columns)[:number]
-        kept = np.zeros((rows, columns), np.bool_)
-        kept.ravel()[chosen] = True
-        mask = np.repeat(np.repeat(kept, PATCH, 0), PATCH, 1)[:height, :width]
-        self.pixels = np.flatnonzero(mask)
-        self._index = np.full(height * width, -1, np.int32)
-        self._index[self.pixels] = np.arange(len(self.pixels), dtype=np.int32)
-        self._columns = self.pixels % width
+        self._chosen = np.random.default_rng(0).permutation(rows * columns)[:number]
+        self._choose(len(self._chosen))
         self._frames: deque[SampledFrame] = deque()
         self._events: deque[tuple[NDArray[np.int64], NDArray[np.int32],
                                   NDArray[np.int8]]] = deque()
         self._count = 0
         self.full = False
+
+    def _choose(self, number: int) -> None:
+        """Sample the pixels of the first squares."""
+        height, width = self.shape
+        rows, columns = -(-height // PATCH), -(-width // PATCH)
+        self._patches = number
+        kept = np.zeros((rows, columns), np.bool_)
+        kept.ravel()[self._chosen[:number]] = True
+        mask = np.repeat(np.repeat(kept, PATCH, 0), PATCH, 1)[:height, :width]
+        self.pixels = np.flatnonzero(mask)
+        self._index = np.full(height * width, -1, np.int32)
+        self._index[self.pixels] = np.arange(len(self.pixels), dtype=np.int32)
+        self._columns = self.pixels % width
+
+    def _halve(self) -> None:
+        """Sample half of the squares, and forget what was kept of the others."""
+        before = self.pixels
+        self._choose(self._patches // 2)
+        now, stays = self._index[before], self._index[before] >= 0
+        self._frames = deque(SampledFrame(
+            frame.dn[stays], frame.usable[stays], frame.exposure[:, stays])
+            for frame in self._frames)
+        events = ((t, now[pixel], sign) for t, pixel, sign in self._events)
+        self._events = deque(
+            (t[pixel >= 0], pixel[pixel >= 0], sign[pixel >= 0])
+            for t, pixel, sign in events if np.any(pixel >= 0))
+        self._count = sum(len(t) for t, _, _ in self._events)
 
     def add_events(self, events: Events) -> None:
         """Take events of the whole sensor, later than all before."""
@@ -130,6 +155,9 @@ class PixelSample:
         self._forget()
 
     def _forget(self) -> None:
+        while (self._count > MAX_EVENTS and self._patches >= 2 * LEAST_PATCHES
+               and self._events[-1][0][-1] - self._events[0][0][0] < LEAST_US):
+            self._halve()
         while self._events and (self._count > MAX_EVENTS or (
                 self._events[-1][0][-1] - self._events[0][0][0] > MAX_US)):
             self._count -= len(self._events.popleft()[0])
@@ -177,9 +205,10 @@ class PixelSample:
     def state(self) -> State:
         """Return the data kept; they are never changed in place."""
         return {"frames": tuple(self._frames), "events": tuple(self._events),
-                "count": self._count, "full": self.full}
+                "count": self._count, "full": self.full, "patches": self._patches}
 
     def restore(self, state: State) -> None:
         """Return to what `state` returned."""
         self._frames, self._events = deque(state["frames"]), deque(state["events"])
         self._count, self.full = state["count"], state["full"]
+        self._choose(state["patches"])

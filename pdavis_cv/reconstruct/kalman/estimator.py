@@ -346,7 +346,7 @@ class KalmanFilter(Reconstructor):
 
     def _settle(self, seen_us: int) -> None:
         """Commit what precedes every later read."""
-        until = seen_us - self.lookahead_us
+        until = max(seen_us - self.lookahead_us, NEVER)
         while self._next_passes(seen_us):
             self._pass_next()
         before = self._committed
