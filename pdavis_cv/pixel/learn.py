@@ -39,8 +39,7 @@ COUNT_NOISE = 0.16
 """Largest variance of the error of a difference of counts, thresholds^2."""
 
 BETTER = 0.02
-"""Fall of -2 ln L per row for which a clock offset or another rest time is taken: what
-no row shows is not made likely by their number."""
+"""Fall of -2 ln L per row for which another rest time is taken."""
 
 LAG_OF_GAP = 0.035
 """Standard deviation of the lag of interpolated counts, in mean gaps between events."""
@@ -308,9 +307,7 @@ def _fitted(
         best = slow
     for start in starts:
         other = tried(start, clock)
-        # Clearly likelier than a photoreceptor that is slow.
-        if other.cost < best.cost - EVIDENCE and (
-                best is not slow or other.per_row < best.per_row - BETTER):
+        if other.cost < best.cost - EVIDENCE:
             best = other
     used = clock if best.shift_us else lag
     other = tried(best, [*used, *law])
