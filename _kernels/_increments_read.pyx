@@ -23,8 +23,6 @@ cdef extern from "_prefetch.h" nogil:
 cdef enum:
     HOP = 8                     # pixels of the list between prefetches
 
-cdef double HOT_MOST = 0.2      # ln^2
-
 cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t* node,
                           const anchor_t* a, const node_t* later, double b, double v,
                           const double* cov, const camera_t* c, const lamp_t* lamp,
@@ -73,7 +71,7 @@ cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t*
         s.ahead = a.log
         s.p_ahead = a.p[0]
         if hot:
-            s.p_ahead += <float>min(a.motion, HOT_MOST)     # it stays valid
+            s.p_ahead += a.motion
         else:
             s.ahead += <float>(
                 y - node.mean + since[0] * a.gain[0] + since[1] * a.gain[1])

@@ -441,7 +441,7 @@ class Filter:
         if has1:
             J1, V1 = level.x[0], level.P[0, 0]
             if hot:
-                V1 += min(level.motion, 0.2)
+                V1 += level.motion
             else:
                 J1 += light.sum() - node["h"] + d1 @ level.x[1:]
                 V1 += 2 * d1 @ level.P[0, 1:] + d1 @ S @ d1 + gamma * n1

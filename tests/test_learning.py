@@ -203,22 +203,21 @@ def test_cf_learns_thresholds_as_the_stream_passes():
     assert np.mean(found) == pytest.approx(0.16, rel=0.1)
 
 
-def test_a_clock_that_is_known_worse_than_before_is_not_taken(realistic):
+def test_what_was_learned_stays_where_frames_say_nothing(realistic):
     recording, _ = realistic
     learning = Learning(recording, FusionOptions(causal=True), {}, KalmanFilter.needs)
 
-    def told(us, sigma_us):
+    def looked(us, theta, told=False):
         return Learned(pixels=LearnedPixels(
-            model=learning.prior.parameters["model"], clock_offset_us=us,
-            sigmas={"shift": sigma_us}, gains=np.zeros((2, 0))))
+            model=PixelModel(theta=np.array(theta)), clock_offset_us=us, told=told,
+            gains=np.zeros((2, 0))))
 
-    early = learning.tuned(learning.prior, told(3000.4, 500.0))
-    assert (early.clock_us, early.clock_sigma_us) == (3000, 500.0)
-    assert learning.tuned(early, told(1000.0, 800.0)).clock_us == 3000
-    assert learning.tuned(early, told(2000.0, 400.0)).clock_us == 2000
-    stated = Learning(recording, FusionOptions(causal=True, clock_offset_us=1200), {},
-                      KalmanFilter.needs)
-    assert stated.tuned(stated.prior, told(3000.0, 10.0)).clock_us == 1200
+    early = learning.tuned(learning.prior, looked(3000.4, (0.2, 0.3)))
+    assert (early.clock_us, *early.parameters["model"].theta) == (3000, 0.2, 0.3)
+    still = learning.tuned(early, looked(0.0, (0.1, 0.1), told=True))
+    assert (still.clock_us, *still.parameters["model"].theta) == (3000, 0.2, 0.3)
+    late = learning.tuned(still, looked(2000.0, (0.25, 0.3)))
+    assert (late.clock_us, *late.parameters["model"].theta) == (2000, 0.25, 0.3)
 
 
 def test_the_stream_is_looked_at_ever_more_rarely(realistic):

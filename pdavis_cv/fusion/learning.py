@@ -168,7 +168,7 @@ class Learning:
             known["model"] = prior_model(self._priors, self._lookahead_us)
         if "ratio_sigma" in self.wanted:
             known["ratio_sigma"] = RATIO_SIGMA
-        self.prior = Tuning(on, off, known, round(clock[0]), clock[1])
+        self.prior = Tuning(on, off, known, round(clock[0]))
 
     def sample(self) -> PixelSample:
         """Return what the stream is fed to, empty."""
@@ -224,7 +224,7 @@ class Learning:
         if "thresholds" not in self.wanted:
             again = iter(())
         for _ in _fed(sample, source, packets, self._calibration,
-                              with_frames=self.uses_frames):
+                      with_frames=self.uses_frames):
             pass
         found = self.estimate(sample)
         if "thresholds" in self.wanted and found.pixels is not None:
@@ -253,13 +253,13 @@ class Learning:
         if thetas is not None:
             tuning = dataclasses.replace(
                 tuning, theta_on=thetas[0], theta_off=thetas[1])
-        if "model" in self.wanted and found.pixels is not None:
+        first = tuning.parameters.get("model") is self.prior.parameters.get("model")
+        # Where frames say nothing, what they said before stays.
+        if "model" in self.wanted and found.pixels is not None and (
+                first or not found.pixels.told):
             changes["model"] = found.pixels.model
-            sigma = found.pixels.sigmas.get("shift", _CLOCK_SIGMA_US)
-            if sigma <= tuning.clock_sigma_us:      # 0: it was stated
-                tuning = dataclasses.replace(
-                    tuning, clock_us=round(found.pixels.clock_offset_us),
-                    clock_sigma_us=sigma)
+            tuning = dataclasses.replace(
+                tuning, clock_us=round(found.pixels.clock_offset_us))
         return tuning.changed(**changes)
 
 

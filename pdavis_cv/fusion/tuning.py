@@ -27,15 +27,12 @@ class Tuning:
         Further parameters of the method.
     clock_us : int
         Offset of the frames' clock, which is added to their exposure times, us.
-    clock_sigma_us : float
-        Its standard error, us; 0: it was stated.
     """
 
     theta_on: Theta
     theta_off: Theta
     parameters: Parameters
     clock_us: int
-    clock_sigma_us: float
 
     def changes(self, before: Tuning) -> dict[str, Any]:
         """Return the parameters to `retune` a method with that has another tuning."""

@@ -38,7 +38,7 @@ COMMON_ERROR, COMMON_PAIRS = 30.0, 3.0
 COUNT_NOISE = 0.16
 """Largest variance of the error of a difference of counts, thresholds^2."""
 
-BETTER = 0.02
+BETTER_REST = 0.02
 """Fall of -2 ln L per row for which another rest time is taken."""
 
 LAG_OF_GAP = 0.035
@@ -307,7 +307,8 @@ def _fitted(
         best = slow
     for start in starts:
         other = tried(start, clock)
-        if other.cost < best.cost - EVIDENCE:
+        if other.cost < best.cost - EVIDENCE and not (
+                best is slow and abs(other.shift_us) < _spare_lag_us(priors, light)):
             best = other
     used = clock if best.shift_us else lag
     other = tried(best, [*used, *law])
@@ -326,7 +327,7 @@ def _fitted(
             best = other
     for rest in RESTS_S[1:]:
         other = tried(_with(best, rest_s=rest), (), 2)
-        if other.per_row < best.per_row - BETTER:
+        if other.per_row < best.per_row - BETTER_REST:
             best = other
     sigmas = dict(_descended(data, pairs, priors, best, numbers, 1).sigmas)
     if "shift" in sigmas:
@@ -348,6 +349,12 @@ def _slower(priors: Priors, model: PixelModel, light: float) -> bool:
     usual, found = (law[0] + law[1] * light for law in (
         priors.bandwidth, model.bandwidth))
     return 0 < found <= usual <= found * math.exp(4 * priors.bandwidth_sigma[0])
+
+
+def _spare_lag_us(priors: Priors, light: float) -> float:
+    """Return by how much light may lag more than usual: two sigmas of the corner."""
+    usual = priors.bandwidth[0] + priors.bandwidth[1] * light
+    return 1e6 / (2 * math.pi * usual) * math.expm1(2 * priors.bandwidth_sigma[0])
 
 
 def _honest(data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit) -> _Fit:

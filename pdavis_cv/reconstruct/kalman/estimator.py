@@ -92,7 +92,8 @@ class KalmanFilter(Reconstructor):
     Notes
     -----
     A pixel is valid from its first usable sample on, while its variance is at most
-    0.25.  Results do not depend on how the stream is cut up.
+    0.25; a hot one holds the last frame, and is valid.  Results do not depend on how
+    the stream is cut up.
     """
 
     method, cheaper = "kalman", "cf"
@@ -174,7 +175,7 @@ class KalmanFilter(Reconstructor):
         self._hot: NDArray[np.bool_] | None = None
         self._nothing = np.zeros((3, *self.shape))
         self._all = self._moving.copy()
-        self._unknown = np.empty(0, np.intp)
+        self._unknown = self._held = np.empty(0, np.intp)
         self._changed()
 
     def _begin_gains(self) -> None:
@@ -184,8 +185,7 @@ class KalmanFilter(Reconstructor):
     def _changed(self) -> None:
         """Invalidate what is made for reads."""
         self._back: NDArray[np.float32] | None = None
-        self._fresh = False
-        self._hot = None
+        self._fresh, self._hot = False, None
         self._pixels["flags"] = 3
         self._scratch: tuple[int, int, KalmanFilter] | None = None
 
@@ -214,8 +214,7 @@ class KalmanFilter(Reconstructor):
                             f"frames_moved_us, got {', '.join(sorted(unknown))}")
         if "ratio_sigma" in learned:
             self._ratio_sigma = positive("ratio_sigma", learned["ratio_sigma"])
-        thetas = {"theta_off", "theta_on"} & learned.keys()
-        if thetas:
+        if {"theta_off", "theta_on"} & learned.keys():
             off, on = (learned.get(name, old) for name, old in zip(
                 ("theta_off", "theta_on"), self._theta, strict=True))
             self._theta = (checked_threshold("theta_off", off, self.shape),
@@ -251,11 +250,11 @@ class KalmanFilter(Reconstructor):
         """Keep of the gains what another model could tell.
 
         They hold in units of their spread, but may be wrong by as much as thresholds
-        were; those that frames with wrong stamps told are worth nothing.
+        were, and by a tenth for each ms that stamps were.
         """
         variance = self._model.spread ** 2
-        wrong = np.inf if moved else float(
-            np.abs(np.log(self._model.theta / old.theta)).max())
+        wrong = np.hypot(
+            np.abs(np.log(self._model.theta / old.theta)).max(), 1e-4 * moved)
         kept = variance / (variance + wrong**2)
         ratio = kept * self._model.spread / old.spread
         self._anchors["p"] *= np.array(
@@ -511,9 +510,8 @@ class KalmanFilter(Reconstructor):
             np.stack([here if anchor is None else anchor.middle,
                       later[0].middle if later else here]),
             self._nothing if first is None else first.around, self._lamp.waves)
-        looks = self._model.looks_around
-        around = self._around if looks else None
-        if looks and self._courses is None:
+        around = self._around if self._model.looks_around else None
+        if around is not None and self._courses is None:
             self._courses = np.empty(self.shape, COURSE_DTYPE)
         n, before = self._listed, not self._fresh
         self.workers.rows(n, lambda first, last: _kernels.increments_move(
@@ -525,12 +523,14 @@ class KalmanFilter(Reconstructor):
         self._moving[:len(kept)] = kept
         if before:
             self._unknown = np.flatnonzero(self._planes[2] == _UNKNOWN)
+            self._held = np.flatnonzero(
+                (self._anchors["hot"] > _HOT) & (self._anchors["sampled"] > 0))
             self._fresh = True
         self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_image(
             self._planes, around, (t, self._epoch_us), self._lamp.waves,
             VALID_VARIANCE, (log, variance, valid.view(np.uint8)),
-            (first, last)),
-            row_ns=3.0 * self.shape[1])
+            (first, last)), row_ns=3.0 * self.shape[1])
+        valid.reshape(-1)[self._held] = True    # their variance says how wrong
 
     def _list_all(self, epoch_us: int) -> None:
         """Let all pixels be shown anew, with planes that count from a time."""
