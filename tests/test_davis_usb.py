@@ -3,10 +3,10 @@ import davis_usb_bytes
 import numpy as np
 import pytest
 import reference_usb
+from davis_words import DavisEncoder
 from streams import random_events
 
 from pdavis_cv import _kernels
-from pdavis_cv.live.davis_words import DavisEncoder
 from pdavis_cv.recording import davis
 from pdavis_cv.recording.base import ApsFrame, Packet, joined
 from pdavis_cv.recording.davis import DavisDecoder, Orientation

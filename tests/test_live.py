@@ -20,7 +20,6 @@ from pdavis_cv.live import LinkFaults, Session
 from pdavis_cv.live.clock import HostClock, in_order
 from pdavis_cv.live.faults import FaultySource
 from pdavis_cv.live.inbox import Inbox, Waiting
-from pdavis_cv.live.recorder import HURRY_BYTES, Recorder, _Pace
 from pdavis_cv.live.replay import PIECE_US, ReplaySource, pieces
 from pdavis_cv.live.statistics import Patience
 from pdavis_cv.reconstruct.frames import FrameHold
@@ -362,37 +361,6 @@ def test_what_arrives_is_recorded_to_the_last_sample(recording, tmp_path):
         np.testing.assert_array_equal(written.events(), recording.events())
         for one, two in zip(frames_of(written), frames_of(recording), strict=True):
             np.testing.assert_array_equal(one.dn, np.maximum(np.rint(two.dn), 0))
-
-
-def test_what_the_disk_is_behind_with_is_stored_and_all_of_it(
-        recording, tmp_path, monkeypatch):
-    monkeypatch.setattr("pdavis_cv.live.recorder.HURRY_BYTES", -1)
-    recorder = Recorder(tmp_path / "run.aedat4", recording.info, False,
-                        ProblemLog("test"))
-    for packet in recording.packets():
-        recorder.add(packet)
-    recorder.close()
-    plain = tmp_path / "plain.aedat4"
-    pdavis_cv.write_aedat4(plain, recording)
-    assert recorder.path.stat().st_size > 1.2 * plain.stat().st_size
-    with pdavis_cv.open_recording(recorder.path, layout=Layout.PDAVIS) as written:
-        np.testing.assert_array_equal(written.events(), recording.events())
-        assert not written.problems
-
-
-def test_packets_are_stored_only_where_that_is_faster():
-    pace = _Pace()
-    assert not pace.hurries(HURRY_BYTES + 1)        # not known yet how long it takes
-    pace.took(2.0, 1)
-    assert not pace.hurries(0)
-    assert pace.hurries(HURRY_BYTES + 1)            # tried
-    pace.took(3.0, 1)
-    assert not pace.hurries(HURRY_BYTES + 1)        # the disk is slow
-    pace.took(2.0, 1)
-    again = [pace.hurries(HURRY_BYTES + 1) for _ in range(20)]
-    assert again.index(True) > 5                    # it may have been a bad moment
-    pace.took(1.0, 1)
-    assert pace.hurries(HURRY_BYTES + 1)
 
 
 @pytest.mark.parametrize("span_us", [1, 2_000, 2_001, 9_000, 10**12])

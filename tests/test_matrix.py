@@ -10,6 +10,7 @@ import event_bytes
 import numpy as np
 import pytest
 from aedat31_bytes import aedat31_file
+from davis_words import write_trace
 
 import pdavis_cv
 from pdavis_cv import ApsFrame, Layout, VideoCapture, batch, open_recording
@@ -54,13 +55,7 @@ def several(folder):
 
 
 def usb(folder):
-    from pdavis_cv.live.usb import SimulatedDavis346
-    from pdavis_cv.recording.davis_trace import TraceWriter
-    device = SimulatedDavis346(light(), speed=0)
-    with TraceWriter(folder / "x.usb", device.info, device.orientation) as trace:
-        while (transfers := device.read(1)) is not None:
-            for one in transfers:
-                trace.add(one)
+    write_trace(folder / "x.usb", light())
     return folder / "x.usb"
 
 

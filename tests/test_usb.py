@@ -1,12 +1,12 @@
 """usb: what a camera sends is what its recording holds, and what can go wrong."""
 import json
 import sys
-import time
 import types
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from davis_words import SimulatedDavis346, unpaced, write_trace
 
 import pdavis_cv
 from pdavis_cv import (
@@ -19,16 +19,14 @@ from pdavis_cv import (
     open_source,
 )
 from pdavis_cv.live import Session, camera
-from pdavis_cv.live.usb import SimulatedDavis346, UsbSource
 from pdavis_cv.recording.davis import Orientation
-from pdavis_cv.recording.davis_trace import TraceWriter, Transfer
+from pdavis_cv.recording.davis_trace import Transfer
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 from pdavis_cv.tools import devices
 
 OPTIONS = {"layout": Layout.PDAVIS, "nominal_thresholds": (0.16, 0.18), "fps": 60}
 METHODS = [{"method": name} for name in pdavis_cv.METHODS] + [
     {"method": "events", "offsets": "redundancy"}]
-SIMULATED = "usb:simulated?scene=polarizer&size=4x4&rpm=600&seconds=0.5&speed=0"
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +42,7 @@ class Faulty:
         self.device, self.unplug, self.reset = device, unplug, reset
         self.lose, self.dark, self.missing = lose, dark, False
         self.info, self.orientation = device.info, device.orientation
-        self.realtime, self.speed, self.settings = False, 1.0, device.settings
+        self.settings = device.settings
 
     def read(self, timeout_s):
         transfers = self.device.read(timeout_s)
@@ -72,7 +70,7 @@ class Faulty:
 
 
 def source(recording, **faults):
-    return UsbSource(Faulty(SimulatedDavis346(recording, speed=0), **faults), "usb:")
+    return unpaced(Faulty(SimulatedDavis346(recording), **faults))
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")     # long windows of a network
@@ -80,8 +78,8 @@ def source(recording, **faults):
 def test_live_images_are_those_of_the_file_to_the_bit(recording, method):
     options = {**OPTIONS, **method}
     expected = list(fuse(recording, causal=True, **options))
-    device = SimulatedDavis346(recording, speed=0)
-    with Session(UsbSource(device, "usb:"), **options) as session:
+    device = SimulatedDavis346(recording)
+    with Session(unpaced(device), **options) as session:
         images = list(session)
         assert not session.problems
     for one, two in zip(images, expected, strict=True):
@@ -131,8 +129,8 @@ def test_a_reset_clock_begins_a_segment_and_images_go_on(recording):
                 return [Transfer(one.data + data, one.host_s)]
             return transfers
 
-    device = Resetting(SimulatedDavis346(recording, speed=0))
-    with Session(UsbSource(device, "usb:"), **OPTIONS, method="cf") as session:
+    device = Resetting(SimulatedDavis346(recording))
+    with Session(unpaced(device), **OPTIONS, method="cf") as session:
         times = [image.t_us for image in session]
         assert np.all(np.diff(times) > 0)
         assert "segment" in [problem.kind for problem in session.problems]
@@ -145,31 +143,12 @@ def test_a_camera_that_hangs_is_told(recording, monkeypatch):
         list(silent.packets())
 
 
-# ---- a simulated camera by its address ----------------------------------------------
-
-
-def test_a_simulated_camera_is_opened_by_its_address():
-    with VideoCapture(SIMULATED, CAP_PDAVIS, method="cf", **OPTIONS) as capture:
-        count = 0
-        while capture.read()[0]:
-            count += 1
-        assert capture.get(7) == -1
-    assert count > 20
-
-
-def test_a_simulated_camera_keeps_its_own_pace():
-    address = SIMULATED.replace("speed=0", "speed=10")
-    begun = time.monotonic()
-    with open_source(address) as live:
-        stop = max(p.until_us or 0 for p in live.packets())
-    assert time.monotonic() - begun > 0.9e-7 * stop
+# ---- a camera by its address -------------------------------------------------------
 
 
 def test_an_address_that_is_not_understood_is_told(monkeypatch):
     with pytest.raises(DeviceError, match="there is no 'nonsense'; a camera takes"):
         open_source("usb:?nonsense=1")
-    with pytest.raises(DeviceError, match="there is no 'nonsense'"):
-        open_source("usb:simulated?nonsense=1")
     with pytest.raises(DeviceError, match="exposure_us must be a number"):
         open_source("usb:?exposure_us=x")
     monkeypatch.setitem(sys.modules, "neuromorphic_drivers", None)
@@ -329,11 +308,7 @@ def test_a_number_opens_a_camera_as_cv2_does(driver):
 
 def test_a_trace_is_a_recording(recording, tmp_path):
     path = tmp_path / "trace.usb"
-    device = SimulatedDavis346(recording, speed=0)
-    with TraceWriter(path, device.info, device.orientation) as trace:
-        while (transfers := device.read(1)) is not None:
-            for one in transfers:
-                trace.add(one)
+    write_trace(path, recording)
     with open_recording(path, layout=Layout.PDAVIS) as read:
         np.testing.assert_array_equal(read.events(), recording.events())
         frames = [frame for packet in read.packets() for frame in packet.frames]

@@ -1,14 +1,15 @@
 """What `python -m lab.bench` times of a camera's words."""
 from __future__ import annotations
 
+import runpy
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.live.davis_words import DavisEncoder
 from pdavis_cv.recording.base import ApsFrame, Packet, joined
 from pdavis_cv.recording.davis import DavisDecoder, Orientation
 from pdavis_cv.recording.files import ProblemLog
@@ -25,8 +26,10 @@ _TRANSFER = 1 << 17
 
 def _words(events: NDArray[Any], frames: list[ApsFrame]) -> bytes:
     recording = recording_from_arrays(events, frames, sensor_size=SHAPE)
+    encoder = runpy.run_path(str(
+        Path(__file__).parents[2] / "tests" / "davis_words.py"))["DavisEncoder"]()
     return np.concatenate([
-        words for _, words in DavisEncoder().chunks(recording.packets())]).tobytes()
+        words for _, words in encoder.chunks(recording.packets())]).tobytes()
 
 
 @case("usb", "words of a DAVIS346 to packets, against floor_sum", 0.25)

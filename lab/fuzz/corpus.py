@@ -119,15 +119,8 @@ def ros2(make):
 
 
 def usb(make):
-    from pdavis_cv.live.usb import SimulatedDavis346
-    from pdavis_cv.recording.davis_trace import TraceWriter
-
-    def write(path, device):
-        with TraceWriter(path, device.info, device.orientation) as trace:
-            while (transfers := device.read(1)) is not None:
-                for one in transfers:
-                    trace.add(one)
-    return [written(write, SimulatedDavis346(make((12, 16), 3), speed=0))]
+    from davis_words import write_trace
+    return [written(write_trace, make((12, 16), 3))]
 
 
 def weights(make):

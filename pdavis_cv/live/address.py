@@ -55,8 +55,7 @@ def open_source(
     where : path, address, sequence of paths, or Source
         A Source is returned as it is, and a path goes to `open_recording`.  Addresses
         are ``usb:`` or ``usb:SERIAL`` of a DAVIS346-based camera (``exposure_us=``,
-        ``frame_interval_us=`` and its biases), ``usb:simulated`` of none (``replay=`` a
-        file, or ``scene=`` and what ``simulate:`` takes), ``dv+tcp://HOST:PORT``
+        ``frame_interval_us=`` and its biases), ``dv+tcp://HOST:PORT``
         (``frames=`` a second port), ``dv+tls://HOST:PORT`` (also ``certificate=``,
         ``key=`` and ``authority=``, PEM files, and ``check_name=1``) and
         ``dv+unix:///PATH`` (``frames=`` a second path) of what DV sends,

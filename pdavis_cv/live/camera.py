@@ -84,7 +84,7 @@ def address_of(index: int) -> str:
 
 
 class Davis346:
-    """A DAVIS346 camera, as a `Device` of `pdavis_cv.live.usb`.
+    """A DAVIS346 camera, which gives the words that it sends.
 
     The background-activity filter, which the driver switches on by default, is off: it
     compares a pixel with its neighbours, which lie behind other polarizers.
@@ -105,9 +105,6 @@ class Davis346:
     ValueError
         If a setting is unknown or out of range.
     """
-
-    realtime = True
-    speed = 1.0
 
     def __init__(self, serial: str | None, settings: Mapping[str, int]) -> None:
         driver = _driver()

@@ -5,7 +5,6 @@ import os
 import shutil
 import tempfile
 import threading
-import time
 from collections import deque
 from pathlib import Path
 
@@ -28,13 +27,6 @@ __all__ = ["Recorder", "recorded"]
 
 MOST_BYTES = 256 * 2**20
 """Most bytes that may wait for the disk: 2 s of 10 million events per second."""
-HURRY_BYTES = MOST_BYTES // 16
-"""If more bytes than this wait, packets may be written without compression."""
-_MEMORY = 32
-"""Number of packets over which the writing time is averaged: a third of a second."""
-_FORGOTTEN = 1 - 1 / _MEMORY
-"""Factor per packet by which the remembered time of uncompressed writing decays while
-it is not used, so that it is tried again: the disk may have been busy only briefly."""
 
 
 class Recorder:
@@ -77,7 +69,6 @@ class Recorder:
         self._ended = False
         self.events = self.dropped_events = 0
         self.error: str | None = None
-        self._pace = _Pace()
         self._thread = threading.Thread(
             target=self._write, name="pdavis recorder", daemon=True)
         self._thread.start()
@@ -115,11 +106,8 @@ class Recorder:
     def _write(self) -> None:
         try:
             while (packet := self._next()) is not None:
-                self._writer.hurried = self._pace.hurries(self._bytes)
-                begun = time.perf_counter()
                 self._writer.add(packet)
                 self._writer.flush()
-                self._pace.took(time.perf_counter() - begun, size_of(packet))
                 self.events += len(packet.events)
             self._writer.close()
         except (OSError, ValueError) as error:
@@ -161,35 +149,6 @@ class Recorder:
                     break
             self._change.notify_all()
         return together(parts)
-
-
-class _Pace:
-    """Decides whether packets are compressed: not if writing is faster without.
-
-    Without compression twice as much is written; on a slow disk that takes longer than
-    compressing.  Both ways are tried and timed.
-    """
-
-    def __init__(self) -> None:
-        self._hurried = False
-        self._seconds: dict[bool, float] = {}       # per byte of packets, by manner
-
-    def hurries(self, waiting_bytes: int) -> bool:
-        """Tell whether to store the next packet uncompressed, by the bytes waiting."""
-        behind = waiting_bytes > HURRY_BYTES
-        plain, stored = self._seconds.get(False), self._seconds.get(True)
-        self._hurried = behind and plain is not None and (
-            stored is None or stored < plain)
-        if behind and not self._hurried and stored is not None:
-            self._seconds[True] = stored * _FORGOTTEN
-        return self._hurried
-
-    def took(self, seconds: float, size: int) -> None:
-        """Note the time that a packet of this size took."""
-        if not size:
-            return
-        before = self._seconds.get(self._hurried, seconds / size)
-        self._seconds[self._hurried] = before + (seconds / size - before) / _MEMORY
 
 
 class _Temporary(Aedat4Recording):

@@ -20,7 +20,6 @@ from pdavis_cv.fusion.options import AllKeywords, FusionOptions, fusion_part
 from pdavis_cv.live.address import open_source
 from pdavis_cv.live.base import endless
 from pdavis_cv.live.clock import HostClock
-from pdavis_cv.live.garbage import ShortSearches
 from pdavis_cv.live.inbox import Inbox, Waiting
 from pdavis_cv.live.recorder import Recorder
 from pdavis_cv.live.statistics import Counter, Patience, SessionStats
@@ -261,11 +260,10 @@ class Session:
     def _fuse(self) -> None:
         """Make images from the packets that have arrived; runs in its own thread."""
         try:
-            with ShortSearches(active=self._lossy) as searches:
-                self._fusion.prepare()
-                self._ready.set()
-                while not self._closed and self._step():
-                    searches.go_on()
+            self._fusion.prepare()
+            self._ready.set()
+            while not self._closed and self._step():
+                pass
         except Exception as error:      # any kind is passed on to the reader of images
             self._ready.set()
             self._finish("failed", error)

@@ -1,7 +1,6 @@
 """Write AEDAT-4 as DV does: packets, LZ4, index."""
 from __future__ import annotations
 
-import functools
 import os
 import struct
 from array import array
@@ -43,8 +42,6 @@ _TRIGGER_VTABLE = struct.pack("<4H", 8, 13, 4, 12)
 _INDEX = np.dtype([("back", "<i4"), ("offset", "<i8"), ("stream", "<i4"),
                    ("size", "<i4"), ("count", "<i8"), ("start", "<i8"),
                    ("stop", "<i8"), ("pad", "<u4")])
-_STORED = -65_537
-"""LZ4's largest acceleration: it looks for repetitions so seldom that it finds none."""
 _INDEX_VTABLE = struct.pack("<7H", 14, 44, 4, 12, 20, 28, 36)
 
 UNKNOWN = "unknown"
@@ -80,12 +77,6 @@ class Aedat4Writer(RecordingWriter):
     source : RecordingInfo, optional
         What is known of the source; the header keeps it, with its origin.
 
-    Attributes
-    ----------
-    hurried : bool
-        True: what is added from now on is stored as LZ4 has it, but not made smaller,
-        which takes a fraction of the time; readers see no difference.
-
     Raises
     ------
     ValueError
@@ -109,11 +100,7 @@ class Aedat4Writer(RecordingWriter):
         if frame_bits not in (None, 8, 16):
             raise ValueError(f"frame_bits must be 8 or 16, got {frame_bits!r}")
         self._compress = _compressor(compression)
-        # What only stores, in the same format.
-        self._store = (functools.partial(_lz4, level=_STORED) if compression == "lz4"
-                       else self._compress)
         super().__init__(path, sensor_size)
-        self.hurried = False
         self._bits = frame_bits
         self._index = array("q")    # of each packet: offset, stream, size, ...
         self._file.write(MAGIC + _header(
@@ -144,7 +131,7 @@ class Aedat4Writer(RecordingWriter):
 
     def _put(self, stream: int, payload: bytes | NDArray[Any], count: int,
              start: int, stop: int) -> None:
-        data = (self._store if self.hurried else self._compress)(payload)
+        data = self._compress(payload)
         self._file.write(struct.pack("<ii", stream, len(data)))
         self._index.extend((self._file.tell(), stream, len(data), count, start, stop))
         self._file.write(data)
@@ -263,8 +250,8 @@ def _compressor(name: str) -> Callable[[Any], bytes]:
     return lambda data: bytes(compressor.compress(memoryview(data).cast("B")))
 
 
-def _lz4(data: Any, level: int = 0) -> bytes:
-    return bytes(lz4.frame.compress(data, compression_level=level, store_size=False))
+def _lz4(data: Any) -> bytes:
+    return bytes(lz4.frame.compress(data, store_size=False))
 
 
 def _events(events: NDArray[Any]) -> NDArray[Any]:

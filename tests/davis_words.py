@@ -1,4 +1,4 @@
-"""Encoder of a recording as the words that a DAVIS346 sends, for a simulated camera."""
+"""Encoder of a recording as the words that a DAVIS346 sends, and a camera of these."""
 from __future__ import annotations
 
 from bisect import bisect_left
@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._types import Events
+from pdavis_cv.live.base import endless
+from pdavis_cv.live.usb import UsbSource
 from pdavis_cv.recording.base import ApsFrame, Packet
-from pdavis_cv.recording.davis import WRAP_US
-
-__all__ = ["DavisEncoder"]
+from pdavis_cv.recording.davis import WRAP_US, Orientation
+from pdavis_cv.recording.davis_trace import TraceWriter, Transfer
 
 _RESET_LEVEL_DN = 1023
 _MOST_WRAPS = 0xFFF
@@ -161,3 +162,38 @@ def _special(code: int) -> NDArray[np.uint16]:
 def _column(read: NDArray[np.uint16], code: int, x: int) -> NDArray[np.uint16]:
     return np.concatenate([
         _special(code), 0x4000 | np.minimum(read[:, x], _RESET_LEVEL_DN), _special(13)])
+
+
+class SimulatedDavis346:
+    """Stands in for a Davis346: its words are those of a recording, at once."""
+
+    def __init__(self, recording):
+        self.settings = {}
+        self.info, self.orientation = endless(recording.info), Orientation()
+        self._chunks = DavisEncoder().chunks(recording.packets())
+
+    def read(self, timeout_s):
+        found = next(self._chunks, None)
+        if found is None:
+            return None
+        time_us, words = found
+        return [Transfer(words.tobytes(), time_us * 1e-6)]
+
+    def close(self):
+        pass
+
+
+def unpaced(device):
+    """Return the source of a device that waits for its reader."""
+    source = UsbSource(device, "usb:")
+    source.realtime = False
+    return source
+
+
+def write_trace(path, recording):
+    """Write the words of a recording with a TraceWriter."""
+    device = SimulatedDavis346(recording)
+    with TraceWriter(path, device.info, device.orientation) as trace:
+        while (transfers := device.read(1)) is not None:
+            for one in transfers:
+                trace.add(one)
