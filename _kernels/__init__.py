@@ -71,7 +71,7 @@ from ._learning import (
 )
 from ._network import voxel_planes
 from ._packed import unpack_10p, unpack_12p, unpack_packed
-from ._picture import fade_bgr, hue_bgr, polar_bgr, ramp_bgr, tone_bgr
+from ._picture import fade_bgr, hue_bgr, ramp_bgr, tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
 from ._redundancy import (
     redundancy_read,
@@ -162,7 +162,6 @@ __all__ = [
     "pack_aedat4_events",
     "pixel_events",
     "plane_waves",
-    "polar_bgr",
     "polarize",
     "ramp_bgr",
     "reached",

@@ -78,7 +78,6 @@ __all__ = [
     "pack_aedat4_events",
     "pixel_events",
     "plane_waves",
-    "polar_bgr",
     "polarize",
     "ramp_bgr",
     "reached",
@@ -387,11 +386,6 @@ def sort_events(
 ) -> int: ...
 def hue_bgr(
     plane: NDArray[Any], valid: _U8, scale: float, least: float, table: _U8, out: _U8
-) -> None: ...
-def polar_bgr(
-    quad: _F32, valid: _U8, gain: float, scratch: _F32, s0_scale: float, least: float,
-    s0_table: _U8, aop_scale: float, aop_table: _U8, dolp_scale: float,
-    dolp_table: _U8, s0: _U8, aop: _U8, dolp: _U8,
 ) -> None: ...
 def ramp_bgr(
     plane: NDArray[Any], valid: _U8, scale: float, least: float, table: _U8, out: _U8

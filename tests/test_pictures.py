@@ -263,9 +263,11 @@ def test_a_legend_says_how_pixels_look_that_are_not_valid(legend):
 def test_panels_of_any_size_stand_in_one_line(shape):
     picture = np.full((*shape, 3), MARK, np.uint8)
     scale = max(1, -(-240 // shape[1]))
-    sheet = render.PanelSheet(
-        [render.Panel("S0", "grey", "0", "1234 DN/ms"), render.Panel("AoP", "faded"),
-         render.Panel("DoLP", "dolp")], columns=3, scale=scale).draw([picture] * 3, "t")
+    sheet = render.tile([
+        render.panel(picture, "S0", legend="grey", end="1234 DN/ms", scale=scale),
+        render.panel(picture, "AoP", legend="faded", scale=scale),
+        render.panel(picture, "DoLP", legend="dolp", scale=scale)], columns=3,
+        title="t")
     seen = (sheet == MARK).all(-1)
     rows = np.flatnonzero(seen.any(1))
     assert len(rows) == rows[-1] - rows[0] + 1 == scale * shape[0]
@@ -318,42 +320,6 @@ def test_sheets_of_odd_images_have_even_sides():
             render.tendon_sheet(held, events, fused, below, grey=grey, top=0.6)):
         assert sheet.dtype == np.uint8
         assert sheet.shape[0] % 2 == sheet.shape[1] % 2 == 0
-
-
-@pytest.mark.parametrize("keep", [1, 3])
-@pytest.mark.parametrize("columns", [1, 2, 3])
-@pytest.mark.parametrize("scale", [1, 3])
-@pytest.mark.parametrize("shape", [(30, 41), (131, 86)])
-def test_a_sheet_that_keeps_its_memory_shows_what_tile_and_panel_show(
-        columns, scale, shape, keep):
-    rng = np.random.default_rng(0)
-    panels = [render.Panel("S0", "grey", "0", "36 DN/ms"), render.Panel("AoP", "aop"),
-              render.Panel("a title that is wider than its picture", None)]
-    sheet = render.PanelSheet(panels, columns=columns, scale=scale, keep=keep)
-    kept, wanted = [], []
-    for title in ("t = 0.1 s", "t = 0.2 s", "t = 0.3 s", "t = 0.4 s", "", "t = 9 s",
-                  "t = 11 s", "t = 10 s"):
-        pictures = [rng.integers(0, 256, (*shape, 3), np.uint8) for _ in panels]
-        want = render.tile([
-            render.panel(picture, panel.title, legend=panel.legend, start=panel.start,
-                         end=panel.end, scale=scale)
-            for picture, panel in zip(pictures, panels, strict=True)],
-            columns=columns, title=title)
-        given = list(pictures)
-        for i, place in enumerate(sheet.places):  # as if it had been drawn there
-            if place is not None:
-                place[:] = pictures[i]
-                given[i] = place
-        assert (scale == 1 and bool(kept)) == (given[0] is not pictures[0])
-        got = sheet.draw(given, title)
-        np.testing.assert_array_equal(got, want)
-        kept.append(got)
-        wanted.append(want)
-        for old, as_it_was in zip(kept[-keep:], wanted[-keep:], strict=True):
-            np.testing.assert_array_equal(old, as_it_was)
-    assert kept[0] is kept[keep]
-    # The pictures of a video have one size, whatever their titles.
-    assert sheet.draw(pictures, "much longer " * 20).shape == want.shape
 
 
 def test_a_time_that_passes_leaves_the_width_of_its_picture():

@@ -17,7 +17,7 @@ from streams import random_events
 import pdavis_cv
 from pdavis_cv import render
 from pdavis_cv.data import example_recording
-from pdavis_cv.tools import _common, _progress, demo
+from pdavis_cv.tools import _common, _progress, demo, export
 from pdavis_cv.tools.main import COMMANDS, main
 
 SAMPLE = str(example_recording())
@@ -347,6 +347,19 @@ def test_pictures_have_a_scale_bar_and_a_light_background(tmp_path):
     light = cv2.imread(str(tmp_path / "x.png"))
     assert light.shape == plain.shape
     assert np.median(light[:20]) == 255
+
+
+def test_a_title_that_grows_leaves_the_size_of_a_video(tmp_path):
+    args = export._parser().parse_args(
+        [str(SAMPLE), "-o", str(tmp_path / "x.webm"), "--quantities", "s0", "--scale",
+         "1", "--title", "wider than its picture is " * 3])
+    with pdavis_cv.open_recording(SAMPLE, layout="pdavis") as recording:
+        image = next(pdavis_cv.fuse(recording, method="frames"))
+        sheet = export.Sheet(args, recording, image)
+        shapes = {sheet.picture(image.retimed(
+            sheet.origin_us + seconds * 1_000_000, None, image.provenance)).shape
+            for seconds in (1, 9, 10, 1234)}
+    assert len(shapes) == 1
 
 
 @pytest.mark.parametrize(("arguments", "images"), [

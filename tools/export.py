@@ -11,7 +11,6 @@ of these and of .npy are written to a .json file next to it.
 from __future__ import annotations
 
 import argparse
-import functools
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -293,24 +292,17 @@ class Sheet:
         self.fading = _ranges(args).get("dolp", (0.0, render.FULL_COLOUR_DOLP))
         ground = args.background or ("light" if figure(args) else "dark")
         self.style = render.LIGHT if ground == "light" else render.DARK
-        self._masked = args.mask_dolp is not None or args.mask_sigma is not None
         suffix = args.out.suffix.lower()
         self.columns = args.per_row or len(args.quantities)
-        scale = args.scale or max(
+        self._scale = args.scale or 1 if args.bare else args.scale or max(
             -(-_LEAST_WIDTH // first.shape[1]),
             screen_scale(first.shape) if suffix in _COLOUR else 1)
         if not args.bare:
-            self.style = self.style.sized(scale * first.shape[1])
-        pixel_um = args.pixel_um and args.pixel_um * (
+            self.style = self.style.sized(self._scale * first.shape[1])
+        self._pixel_um = args.pixel_um and args.pixel_um * (
             2 if first.provenance.get("demosaic") in HALF_SIZE else 1)
         self.panels = [self._panel(name) for name in args.quantities]
-        self._scale = args.scale or 1
-        self._sheet = None if args.bare else render.PanelSheet(
-            self.panels, columns=self.columns, scale=scale,
-            keep=export.VideoFile.ahead + 1, style=self.style,
-            mark=None if pixel_um is None else functools.partial(
-                render.draw_scale_bar, pixel_um=pixel_um, scale=scale))
-        self._pixel_um = pixel_um
+        self._width: int | None = None
 
     def write(self, path: Path, frame: PolarFrame) -> None:
         """Write the picture or figure of one image."""
@@ -320,9 +312,7 @@ class Sheet:
         pictures = self._pictures(frame)
         if self._pixel_um is not None:
             scale = -(-_FIGURE_PIXELS // frame.shape[1])
-            pictures = [render.scale_bar(
-                one.repeat(scale, 0).repeat(scale, 1), self._pixel_um, scale=scale)
-                for one in pictures]
+            pictures = [self._enlarged(one, scale) for one in pictures]
         export.write_figure(
             path, pictures, self.panels, width_mm=self.args.width_mm or _WIDTH_MM,
             columns=self.columns, title=self._title(frame), style=self.style,
@@ -334,58 +324,42 @@ class Sheet:
         return f"{self.source}   {method}   t = {seconds:.4f} s   {self.args.title}"
 
     def picture(self, frame: PolarFrame) -> Picture:
-        """Compose the picture of one image.
-
-        Its memory is reused, but not before a video has encoded it.
-        """
+        """Compose the picture of one image."""
         pictures = self._pictures(frame)
-        if self._sheet is None:
+        if self.args.bare:
             whole = render.tile(pictures, columns=self.columns, gap=0)
             return whole.repeat(self._scale, 0).repeat(self._scale, 1)
-        return self._sheet.draw(pictures, self._title(frame).rstrip())
+        sheet = render.tile([
+            render.panel(self._enlarged(one, self._scale), **panel._asdict(),
+                         style=self.style)
+            for one, panel in zip(pictures, self.panels, strict=True)],
+            columns=self.columns, title=self._title(frame).rstrip(), style=self.style)
+        # The pictures of a video have one size: a title that grows is cut at the edge.
+        self._width = self._width or sheet.shape[1]
+        return sheet[:, :self._width]
+
+    def _enlarged(self, picture: Picture, scale: int) -> Picture:
+        picture = picture.repeat(scale, 1).repeat(scale, 0)
+        return picture if self._pixel_um is None else render.scale_bar(
+            picture, self._pixel_um, scale=scale)
 
     def _pictures(self, frame: PolarFrame) -> list[Picture]:
-        names = self.args.quantities
-        places = (None,) * len(names) if self._sheet is None else self._sheet.places
-        at_once = {name: place for name, place in zip(names, places, strict=True)
-                   if self._usual(name)}
-        drawn = render.draw_polarization(
-            frame, at_once, white=self.ranges.get("s0", (0, self.white))[1],
-            saturated=self.saturated)
-        if "aop" in drawn and self.args.aop == "faded":
-            self._fade(drawn["aop"], frame)
-        return [drawn[name] if name in drawn else self._colour(frame, name, place)
-                for name, place in zip(names, places, strict=True)]
+        return [self._aop(frame) if name == "aop" else render.quantity_bgr(
+            QUANTITIES[name], frame, *self.ranges[name], saturated=self.saturated)
+            for name in self.args.quantities]
 
-    def _usual(self, name: str) -> bool:
-        """Return whether `draw_polarization` draws the picture of a quantity."""
-        if name == "aop":
-            return self.args.aop != "hsv" and not self._masked
-        if name == "dolp":
-            return self.ranges[name] == (0, 1)
-        return name == "s0" and self.ranges[name][0] == 0
-
-    def _fade(self, picture: Picture, frame: PolarFrame) -> None:
-        low, high = self.fading
-        render.fade_aop(
-            picture, frame, low=low, top=high, ground=self.style.ground)
-
-    def _colour(
-        self, frame: PolarFrame, name: str, out: Picture | None
-    ) -> Picture:
-        if name == "aop":
-            good = render.reliable(frame, least_dolp=self.args.mask_dolp,
-                                   most_sigma_deg=self.args.mask_sigma)
-            picture = render.aop_bgr(
-                frame.aop, frame.valid, out,
-                colours="hsv" if self.args.aop == "hsv" else "even")
-            if self.args.aop != "full":
-                self._fade(picture, frame)
-            picture[frame.valid & ~good] = render.MASKED
-            return picture
-        low, high = self.ranges[name]
-        return render.quantity_bgr(
-            QUANTITIES[name], frame, low, high, saturated=self.saturated, out=out)
+    def _aop(self, frame: PolarFrame) -> Picture:
+        good = render.reliable(frame, least_dolp=self.args.mask_dolp,
+                               most_sigma_deg=self.args.mask_sigma)
+        picture = render.aop_bgr(
+            frame.aop, frame.valid,
+            colours="hsv" if self.args.aop == "hsv" else "even")
+        if self.args.aop != "full":
+            low, high = self.fading
+            render.fade_aop(
+                picture, frame, low=low, top=high, ground=self.style.ground)
+        picture[frame.valid & ~good] = render.MASKED
+        return picture
 
     def _panel(self, name: str) -> render.Panel:
         one = QUANTITIES[name]
@@ -476,7 +450,7 @@ def _write_video(
     with export.moving_file(args.out, rate, sheet.facts) as video:
         for frame in frames:
             picture = sheet.picture(frame)
-            video.add(picture, copy=False)  # encodes while the next one is made
+            video.add(picture)
     height, width = picture.shape[:2]
     line = (f"wrote {args.out}: {video.count} pictures of {width}x{height}, "
             f"{rate:g} per second, {video.codec}; white is {sheet.white:g} "

@@ -20,7 +20,6 @@ from pdavis_cv.fusion import fuse
 from pdavis_cv.render import (
     Line,
     Panel,
-    PanelSheet,
     Picture,
     ToneCurve,
     aop_bgr,
@@ -29,7 +28,9 @@ from pdavis_cv.render import (
     events_on,
     fade,
     grey_bgr,
+    panel,
     stack,
+    tile,
 )
 from pdavis_cv.simulation import (
     FULL,
@@ -233,21 +234,22 @@ class _Drawing:
                        for k in range(len(video.shown))]
         # All channels of all methods by one scale: what the light itself reaches.
         self._white = max(float(np.quantile(one.images[0].quad, 0.999)) for one in seen)
-        self._sheet = PanelSheet(
-            [Panel(_TITLES[what].format(one.name),
-                   _LEGENDS.get(what) if one is video.shown[-1] else None)
-             for given in video.pictures for one in video.shown
-             for what in (self._what(given, one),)],
-            columns=len(video.shown), scale=self._scale, keep=4)
+        self._panels = [
+            Panel(_TITLES[what].format(one.name),
+                  _LEGENDS.get(what) if one is video.shown[-1] else None)
+            for given in video.pictures for one in video.shown
+            for what in (self._what(given, one),)]
         self._means = np.array([[_mean_dolp(image) for image in one.images]
                                 for one in seen])
 
     def picture(self, moment: Moment, title: str) -> Picture:
         """Return the picture of a moment."""
-        sheet = self._sheet.draw(
-            [self._panel(self._what(given, one), k, moment)
-             for given in self._video.pictures
-             for k, one in enumerate(self._video.shown)], title)
+        pictures = [self._panel(self._what(given, one), k, moment)
+                    for given in self._video.pictures
+                    for k, one in enumerate(self._video.shown)]
+        sheet = tile([panel(picture, **each._asdict(), scale=self._scale)
+                      for picture, each in zip(pictures, self._panels, strict=True)],
+                     columns=len(self._video.shown), title=title)
         if not self._video.trace:
             return sheet
         times = np.array([one.t_us for one in self._seen]) / 1e6

@@ -79,15 +79,13 @@ class AnimationFile(SeriesFile):
         """Pictures so far."""
         return len(self._pictures)
 
-    def add(self, picture: Image, *, copy: bool = True) -> None:
+    def add(self, picture: Image) -> None:
         """Append a copy of a picture.
 
         Parameters
         ----------
         picture : ndarray of uint8, shape (H, W, 3)
             BGR; all pictures must have the same shape.
-        copy : bool
-            Not used; for compatibility with `VideoFile`.
 
         Raises
         ------

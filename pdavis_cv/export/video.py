@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
 from pdavis_cv._opencv import opencv, set_log_level
-from pdavis_cv._types import Events, Facts, Image
+from pdavis_cv._types import Facts, Image
 from pdavis_cv.export.files import SeriesFile
 from pdavis_cv.export.h264 import H264Writer, h264_encoder
 from pdavis_cv.export.provenance import embed, embed_png
@@ -30,6 +30,7 @@ __all__ = ["PlaneVideo", "VideoFile", "write_png"]
 _CODECS = {".webm": "VP80", ".mp4": "vp09", ".m4v": "mp4v", ".mkv": "mp4v",
            ".avi": "MJPG"}
 LEAST_FPS = 0.01
+_AHEAD = 2  # pictures in the queue: one is being encoded, one evens out delays
 _MOST_FPS = {".webm": 1000, ".mp4": 60_000, ".m4v": 60_000, ".mkv": 1000, ".avi": 1000}
 """Highest frame rate of each container, as measured."""
 
@@ -57,9 +58,6 @@ class VideoFile(SeriesFile):
     OSError
         On writing, if the codec cannot write the file.
     """
-
-    ahead = 2
-    """Pictures in the queue: one is being encoded, one evens out delays."""
 
     _grey = False
 
@@ -95,7 +93,6 @@ class VideoFile(SeriesFile):
         # OpenCV encodes without the GIL, while the caller makes the next picture.
         self._encoder = self._stack.enter_context(ThreadPoolExecutor(1))
         self._waiting: deque[Future[None]] = deque()
-        self._held: deque[Events] = deque()
 
     @property
     def codec(self) -> str:
@@ -109,15 +106,13 @@ class VideoFile(SeriesFile):
                 f"video file must end in {', '.join(_CODECS)}, got {suffix!r}")
         return _CODECS[suffix]
 
-    def add(self, picture: Image, *, copy: bool = True) -> None:
-        """Append a picture.
+    def add(self, picture: Image) -> None:
+        """Append a copy of a picture.
 
         Parameters
         ----------
         picture : ndarray of uint8, shape (H, W, 3)
             BGR; all pictures must have the same shape.
-        copy : bool
-            False if the caller does not change it until `ahead` more were added.
 
         Raises
         ------
@@ -133,22 +128,11 @@ class VideoFile(SeriesFile):
             raise ValueError(
                 f"picture must have the first one's shape {self._shape}, got "
                 f"{picture.shape}")
-        if len(self._waiting) == self.ahead:
+        if len(self._waiting) == _AHEAD:
             self._encoded()
-        whole = np.ascontiguousarray(even(picture))
-        if copy:
-            whole = self._copied(whole)
-        self._waiting.append(self._encoder.submit(self._writer.write, whole))
+        self._waiting.append(self._encoder.submit(
+            self._writer.write, np.array(even(picture), order="C")))
         self.count += 1
-
-    def _copied(self, picture: Image) -> Events:
-        # Memory is reused, as allocating it would take longer than the copy.
-        if len(self._held) < self.ahead:
-            self._held.append(picture.copy())
-        else:
-            self._held.rotate(-1)
-            np.copyto(self._held[-1], picture, casting="no")
-        return self._held[-1]
 
     def _encoded(self) -> None:
         try:
@@ -354,7 +338,7 @@ class PlaneVideo(VideoFile):
         code = (plane.astype(np.float64) - self.low) * (65534 / (self.high - self.low))
         self.clipped += int(np.count_nonzero(usable & ((code < 0) | (code > 65534))))
         code = np.rint(np.clip(np.where(usable, code, 0), 0, 65534)) + 1
-        self.add(np.where(usable, code, 0).astype(np.uint16), copy=False)
+        self.add(np.where(usable, code, 0).astype(np.uint16))
 
 
 def write_png(

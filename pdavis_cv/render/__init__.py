@@ -21,6 +21,7 @@ from pdavis_cv.render.layouts import (
 from pdavis_cv.render.legends import (
     DARK,
     LIGHT,
+    Panel,
     Style,
     aop_legend,
     bar_legend,
@@ -32,16 +33,13 @@ from pdavis_cv.render.legends import (
 )
 from pdavis_cv.render.overlay import (
     HIDDEN_SIGMA_DEG,
-    draw_scale_bar,
     events_on,
     fade_aop,
     known_aop,
     reliable,
     scale_bar,
 )
-from pdavis_cv.render.polar import draw_polarization
 from pdavis_cv.render.quantity import quantity_bgr
-from pdavis_cv.render.sheet import Panel, PanelSheet
 from pdavis_cv.render.tone import ToneCurve
 
 __all__ = [
@@ -53,7 +51,6 @@ __all__ = [
     "MASKED",
     "Line",
     "Panel",
-    "PanelSheet",
     "Picture",
     "Style",
     "ToneCurve",
@@ -63,8 +60,6 @@ __all__ = [
     "caption",
     "chart",
     "dolp_bgr",
-    "draw_polarization",
-    "draw_scale_bar",
     "even",
     "events_on",
     "fade",

@@ -86,8 +86,7 @@ DOLP_TABLE = table_of(np.stack([
 
 
 def aop_bgr(
-    aop: ArrayLike, valid: NDArray[np.bool_] | None = None,
-    out: Picture | None = None, *, colours: str = "even",
+    aop: ArrayLike, valid: NDArray[np.bool_] | None = None, *, colours: str = "even",
 ) -> Picture:
     """Colour an angle of polarization; 180 degrees are a full turn of hue.
 
@@ -98,8 +97,6 @@ def aop_bgr(
         at 90, violet at 135.
     valid : ndarray of bool, shape (H, W), optional
         Pixels that are False are hatched; see `INVALID`.
-    out : ndarray of uint8, shape (H, W, 3), optional
-        Overwritten and returned; may be a part of a larger picture.
     colours : {"even", "hsv"}
         Equal steps of angle look equal, or hues of full saturation and value.
 
@@ -122,12 +119,11 @@ def aop_bgr(
                          "np.radians")
     table = _HUES[colours]
     return through_table(
-        _kernels.hue_bgr, plane, valid, (len(table) - 4) / np.pi, table, out=out)
+        _kernels.hue_bgr, plane, valid, (len(table) - 4) / np.pi, table)
 
 
 def dolp_bgr(
     dolp: ArrayLike, valid: NDArray[np.bool_] | None = None, *, top: float = 1.0,
-    out: Picture | None = None,
 ) -> Picture:
     """Colour a degree of linear polarization, dark blue at 0 to yellow at `top`.
 
@@ -139,8 +135,6 @@ def dolp_bgr(
         Pixels that are False are hatched; see `INVALID`.
     top : float
         DoLP of the brightest colour.
-    out : ndarray of uint8, shape (H, W, 3), optional
-        As for `aop_bgr`.
 
     Returns
     -------
@@ -155,13 +149,12 @@ def dolp_bgr(
     if not top > 0:
         raise ValueError(f"top must be positive, got {top}")
     return through_table(
-        _kernels.ramp_bgr, one_plane("dolp", dolp), valid, 255 / top, DOLP_TABLE,
-        out=out)
+        _kernels.ramp_bgr, one_plane("dolp", dolp), valid, 255 / top, DOLP_TABLE)
 
 
 def grey_bgr(
     intensity: ArrayLike, white: float, valid: NDArray[np.bool_] | None = None, *,
-    saturated: float | None = None, out: Picture | None = None,
+    saturated: float | None = None,
 ) -> Picture:
     """Show an intensity in grey, linear from 0 to `white`.
 
@@ -177,8 +170,6 @@ def grey_bgr(
         Intensity above which pixels that are not valid are taken as saturated and shown
         white: their value is a lower bound and might look darker than its neighbours.
         Below it, they are hatched.
-    out : ndarray of uint8, shape (H, W, 3), optional
-        As for `aop_bgr`.
 
     Returns
     -------
@@ -194,7 +185,7 @@ def grey_bgr(
         raise ValueError(f"white must be positive, got {white}")
     return through_table(
         _kernels.ramp_bgr, one_plane("intensity", intensity), valid, 255 / white,
-        GREY_TABLE if saturated is None else SEEN_TABLE, saturated, out)
+        GREY_TABLE if saturated is None else SEEN_TABLE, saturated)
 
 
 def fade(
@@ -221,7 +212,14 @@ def fade(
     TypeError, ValueError
         If a shape differs, or `picture` is none that can be written to.
     """
-    canvas(picture, (*np.shape(picture)[:2], 3), "picture")
+    if picture.dtype != np.uint8:
+        raise TypeError(f"picture must be uint8, got {picture.dtype}")
+    if picture.ndim != 3 or picture.shape[2] != 3:
+        raise ValueError(f"picture must have shape (H, W, 3), got {picture.shape}")
+    if picture.strides[1:] != (3, 1) or not picture.flags.writeable:
+        raise ValueError(
+            "picture must be writeable, the pixels of a row contiguous, got strides "
+            f"{picture.strides}, writeable {picture.flags.writeable}")
     kept: NDArray[np.uint8] = (
         np.empty((0, 0), np.uint8) if valid is None
         else np.ascontiguousarray(valid, np.bool_).view(np.uint8))
@@ -249,7 +247,6 @@ def one_plane(name: str, values: ArrayLike) -> NDArray[Any]:
 def through_table(
     kernel: Callable[..., None], value: ArrayLike, valid: NDArray[np.bool_] | None,
     scale: float, table: NDArray[np.uint8], least: float | None = None,
-    out: Picture | None = None,
 ) -> Picture:
     """Colour values with a table, in a kernel ten times as fast as NumPy.
 
@@ -268,8 +265,6 @@ def through_table(
     least : float, optional
         Pixels that are not valid have the colour `invalid` of `table_of` from here on,
         and `none` below; default: `invalid`.
-    out : ndarray of uint8, shape (H, W, 3), optional
-        Overwritten and returned; pixels of a row must be contiguous.
 
     Returns
     -------
@@ -279,9 +274,9 @@ def through_table(
     Raises
     ------
     TypeError
-        If `out` is not uint8, or `valid` is not bool, or uint8 as a mask of cv2.
+        If `valid` is not bool, or uint8 as a mask of cv2.
     ValueError
-        If `valid` or `out` has another shape, or `out` cannot be written to.
+        If `valid` has another shape.
     """
     plane = np.asarray(value)
     if plane.dtype != np.float32:
@@ -297,26 +292,8 @@ def through_table(
             raise ValueError(
                 f"valid must have shape {plane.shape}, got {mask.shape}")
         good = np.ascontiguousarray(mask).reshape(rows).view(np.uint8)
-    picture = canvas(out, (*plane.shape, 3))
+    picture = np.empty((*plane.shape, 3), np.uint8)
     kernel(np.ascontiguousarray(plane).reshape(rows), good, float(scale),
            -math.inf if least is None else float(least), table,
            picture.reshape(*rows, 3))
     return picture
-
-
-def canvas(
-    out: Picture | None, shape: tuple[int, ...], name: str = "out"
-) -> Picture:
-    """Return `out` after checking it, or a new picture if it is None."""
-    if out is None:
-        return np.empty(shape, np.uint8)
-    if out.dtype != np.uint8:
-        raise TypeError(f"{name} must be uint8, got {out.dtype}")
-    if out.shape != shape or len(shape) != 3:
-        raise ValueError(
-            f"{name} must have shape {shape}, (H, W, 3), got {out.shape}")
-    if out.strides[1:] != (3, 1) or not out.flags.writeable:
-        raise ValueError(
-            f"{name} must be writeable, the pixels of a row contiguous, got strides "
-            f"{out.strides}, writeable {out.flags.writeable}")
-    return out

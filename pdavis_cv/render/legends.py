@@ -27,7 +27,7 @@ from pdavis_cv.render.colours import (
 __all__ = [
     "DARK",
     "LIGHT",
-    "LINE",
+    "Panel",
     "Style",
     "aop_legend",
     "bar_legend",
@@ -60,8 +60,16 @@ DARK = Style(0, 235)
 LIGHT = Style(255, 20)
 """Dark text on white, for print and slides."""
 
-LINE = 20
-"""Height of a line of text, at zoom 1."""
+_LINE = 20   # height of a line of text, at zoom 1
+
+
+class Panel(NamedTuple):
+    """Title and legend of a picture, as `panel` takes them."""
+
+    title: str
+    legend: str | None = None
+    start: str = "0"
+    end: str = ""
 
 
 def aop_legend(
@@ -157,7 +165,7 @@ def panel(
         BGR; W' = scale * W, at least the width that title and legend need.
     """
     if scale != 1:
-        picture = picture.repeat(scale, axis=0).repeat(scale, axis=1)
+        picture = picture.repeat(scale, axis=1).repeat(scale, axis=0)
     parts = [_line(title, style), picture]
     if legend in ("aop", "faded", "hsv"):
         parts.append(_aop_strip(legend, end or f"{FULL_COLOUR_DOLP:g}", style))
@@ -303,7 +311,7 @@ def _line(text: str, style: Style = DARK) -> Picture:
     zoom = style.zoom
     widest = re.sub(r"\d", "0", text)    # a time that passes leaves the width
     strip = np.full(
-        (LINE * zoom, text_width(widest, zoom) + 8 * zoom, 3), style.ground, np.uint8)
+        (_LINE * zoom, text_width(widest, zoom) + 8 * zoom, 3), style.ground, np.uint8)
     caption(strip, text, 4 * zoom, 14 * zoom, style.ink, zoom)
     return strip
 

@@ -13,8 +13,8 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render.colours import FULL_COLOUR_DOLP, Picture, fade
 from pdavis_cv.render.legends import DARK, caption, text_width
 
-__all__ = ["HIDDEN_SIGMA_DEG", "draw_scale_bar", "events_on", "fade_aop", "known_aop",
-           "reliable", "scale_bar"]
+__all__ = ["HIDDEN_SIGMA_DEG", "events_on", "fade_aop", "known_aop", "reliable",
+           "scale_bar"]
 
 ON, OFF = (255, 255, 255), (0, 0, 0)
 
@@ -169,23 +169,7 @@ def scale_bar(picture: Picture, pixel_um: float, *, scale: int = 1) -> Picture:
     """
     if not (np.isfinite(pixel_um) and pixel_um > 0):
         raise ValueError(f"pixel_um must be positive, got {pixel_um!r}")
-    result = np.ascontiguousarray(picture).copy()
-    draw_scale_bar(result, pixel_um, scale=scale)
-    return result
-
-
-def draw_scale_bar(picture: Picture, pixel_um: float, *, scale: int = 1) -> None:
-    """Draw a scale bar as `scale_bar` does, into the picture itself.
-
-    Parameters
-    ----------
-    picture : ndarray of uint8, shape (H, W, 3)
-        BGR; changed.
-    pixel_um : float
-        Size of a sensor pixel in the object, micrometres.
-    scale : int
-        Picture pixels per sensor pixel.
-    """
+    picture = np.array(picture, order="C")
     height, width = picture.shape[:2]
     zoom = DARK.sized(width).zoom
     longest = width / 3 / scale * pixel_um
@@ -201,3 +185,4 @@ def draw_scale_bar(picture: Picture, pixel_um: float, *, scale: int = 1) -> None
     ground //= 3    # so that bar and text are visible on any colour
     picture[bottom - 3 * zoom:bottom, right - pixels:right] = 235
     caption(picture, text, left, bottom - 8 * zoom, zoom=zoom)
+    return picture

@@ -14,7 +14,7 @@ __all__ = ["quantity_bgr"]
 
 def quantity_bgr(
     quantity: Quantity, frame: PolarFrame, low: float, high: float, *,
-    saturated: float = math.inf, out: Picture | None = None,
+    saturated: float = math.inf,
 ) -> Picture:
     """Draw a quantity of an image in its colours.
 
@@ -27,8 +27,6 @@ def quantity_bgr(
         Values at the ends of the colours; a hue goes round and has none.
     saturated : float
         Of an intensity, as for `grey_bgr`.
-    out : ndarray of uint8, shape (H, W, 3), optional
-        As for `aop_bgr`.
 
     Returns
     -------
@@ -36,11 +34,11 @@ def quantity_bgr(
         BGR.
     """
     if quantity.colours == "hue":
-        return aop_bgr(quantity.of(frame), frame.valid, out)
+        return aop_bgr(quantity.of(frame), frame.valid)
     values, width = quantity.of(frame) - np.float32(low), high - low
     if quantity.colours == "viridis":
-        return dolp_bgr(values, frame.valid, top=width, out=out)
+        return dolp_bgr(values, frame.valid, top=width)
     if quantity.light:
-        return grey_bgr(values, width, frame.valid, saturated=saturated - low, out=out)
+        return grey_bgr(values, width, frame.valid, saturated=saturated - low)
     known = None if quantity.dtype is np.uint8 else frame.valid     # `valid` itself
-    return grey_bgr(values, width, known, out=out)
+    return grey_bgr(values, width, known)
