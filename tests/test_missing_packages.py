@@ -16,7 +16,8 @@ PACKAGES = {
     "av": "av", "cv2": "opencv-contrib-python-headless", "h5py": "h5py",
     "h5netcdf": "h5netcdf",
     "imageio": "imageio", "matplotlib": "matplotlib", "onnxruntime": "onnxruntime",
-    "pims": "pims", "roifile": "roifile", "rosbags": "rosbags", "tifffile": "tifffile",
+    "pims": "pims", "pyarrow": "pyarrow", "roifile": "roifile",
+    "rosbags": "rosbags", "tifffile": "tifffile",
     "torch": "torch", "xarray": "xarray", "zstandard": "zstandard"}
 """Name in an import -> name for pip."""
 
@@ -42,6 +43,7 @@ COMMANDS = {
         ("export", "{in}", "-o", "{out}.npy", "--method", "firenet", *LAYOUT), ()),
     "convert": (("convert", "{in}", "{out}.aedat4"), ()),
     "convert to HDF5": (("convert", "{in}", "{out}.h5"), ("h5py",)),
+    "convert to Parquet": (("convert", "{in}", "{out}.parquet"), ("pyarrow",)),
     "convert to zstd": (
         ("convert", "{in}", "{out}.aedat4", "--compression", "zstd"), ("zstandard",)),
     "calibrate dark": (("calibrate", "dark", "{in}", "-o", "{out}.npz"), ()),

@@ -1,4 +1,4 @@
-"""Write a recording in another format: AEDAT-4, AEDAT-2.0, HDF5 of E2P or of DSEC."""
+"""Write a recording in another format; the formats are listed below."""
 from __future__ import annotations
 
 import argparse
@@ -28,7 +28,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     out = Path(args.output)
     kind, write = writer_for(out, args.format)
-    options = {"compression": args.compression} if args.compression else {}
+    options = {name: value for name in ("compression", "encoding")
+               if (value := getattr(args, name)) is not None}
     for name in options.keys() - set(kind.write_options):
         raise UsageError(f"--{name} is no option of {kind.title}")
     checked_out(out, args.input, recording=True, force=args.force)
@@ -50,13 +51,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("convert", __doc__ or "",
-                    "pdavis convert jaer-recording.aedat upright.aedat4")
+                    "pdavis convert jaer-recording.aedat upright.aedat4\n\n" + _table())
     add_file(parser, "a recording of any format", "input")
     parser.add_argument(
         "output", help="the file to write; its suffix determines the format")
     parser.add_argument(
         "--format", metavar="NAME", help="format, if the suffix does not determine it: "
         + ", ".join(name for name, one in FORMATS.usable().items() if one.writer))
+    parser.add_argument("--encoding", metavar="NAME", help="how events are encoded: "
+                        "evt3 (default) or evt2 in RAW")
     parser.add_argument("--compression", choices=("lz4", "none", "zstd"),
                         help="compression of AEDAT-4; default lz4")
     add_source_options(parser)
@@ -64,6 +67,18 @@ def _parser() -> argparse.ArgumentParser:
         "--force", action="store_true", help="replace an existing recording")
     add_json_option(parser)
     return parser
+
+
+def _table() -> str:
+    """Return what is read and written, a format per line."""
+    rows = [("name", "read", "written", "holds", "format"), *(
+        (one.name, " ".join(one.suffixes), " ".join(one.written),
+         ", ".join(sorted(one.holds)), one.title + f" (extra {one.extra})" * bool(
+             one.extra)) for one in FORMATS.usable().values())]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "formats:\n" + "\n".join("  " + "  ".join(
+        cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows)
 
 
 if __name__ == "__main__":

@@ -49,6 +49,9 @@ LOOKED_AT = 1 << 16
 class _EventList(SequentialRecording):
     """Base of event lists, which do not give the sensor's size or the unit of time."""
 
+    _copied: str | None = None
+    """What a file of this library says of its source."""
+
     def _facts(self, kind: str, options: SourceOptions,
                header: Mapping[str, Any], of_file: tuple[int, int] | None = None
                ) -> RecordingInfo:
@@ -68,7 +71,7 @@ class _EventList(SequentialRecording):
                 f"{width}x{height}")
         return RecordingInfo(
             format=kind, frame_count=0, imu_count=0, trigger_count=0, header=header,
-            **stated(options, sensor_size=Fact((height, width), origin)))
+            **stated(options, self._copied, sensor_size=Fact((height, width), origin)))
 
     @abstractmethod
     def _farthest(self) -> tuple[int, int]:
@@ -205,12 +208,19 @@ class NumpyRecording(_EventList):
     options : SourceOptions
     """
 
-    def _open(self, options: SourceOptions) -> RecordingInfo:
+    _kind = "NumPy"
+    _size: tuple[int, int] | None = None
+
+    def _found(self) -> Mapping[str, Any]:
+        """Return the arrays of the file by name, each like a `StoredArray`."""
         self._reader = self._bytes()
+        return stored_arrays(
+            self._reader, lambda reader: self._closing.callback(reader.close))
+
+    def _open(self, options: SourceOptions) -> RecordingInfo:
         try:
-            found = stored_arrays(
-                self._reader, lambda reader: self._closing.callback(reader.close))
-        except RecordingError:
+            found = self._found()
+        except (RecordingError, ImportError):
             raise
         except Exception as error:  # NumPy raises anything for a damaged header
             raise RecordingError(
@@ -219,7 +229,8 @@ class NumpyRecording(_EventList):
         self._end = len(self._arrays_of[0])
         self._scale = self._time_unit()
         return self._facts(
-            f"NumPy, times in {self._scale}", options, {"time_unit": self._scale})
+            f"{self._kind}, times in {self._scale}", options,
+            {"time_unit": self._scale}, self._size)
 
     def _time_unit(self) -> str:
         t = self._arrays_of[0].rows(0, ROWS)
@@ -248,7 +259,7 @@ class NumpyRecording(_EventList):
         whole = min(map(len, columns))
         if whole < min(ROWS, len(self._arrays_of[0]) - at):
             self._log.damage(at, f"row {at + whole}: the file ends before its last row",
-                             offset=self._reader.size)
+                             offset=self._path.stat().st_size)
         t, x, y, p = (column[:whole] for column in columns)
         if t.dtype.kind == "f":
             with np.errstate(over="ignore"):
@@ -260,7 +271,7 @@ class NumpyRecording(_EventList):
         return t.astype(np.int64), _whole(x), _whole(y), _whole(p)
 
 
-def _events_of(found: dict[str, StoredArray], path: str) -> tuple[StoredArray, ...]:
+def _events_of(found: Mapping[str, Any], path: str) -> tuple[Any, ...]:
     """Return the columns t, x, y, p of a file, which have the same length.
 
     Raises
@@ -268,7 +279,7 @@ def _events_of(found: dict[str, StoredArray], path: str) -> tuple[StoredArray, .
     RecordingError
         If there are no such columns.
     """
-    def named(columns: Mapping[str, StoredArray]) -> tuple[StoredArray, ...] | None:
+    def named(columns: Mapping[str, Any]) -> tuple[Any, ...] | None:
         by_name = {NAMES[name.lower()]: column for name, column in columns.items()
                    if name.lower() in NAMES}
         if set(by_name) != set("txyp"):
@@ -282,13 +293,15 @@ def _events_of(found: dict[str, StoredArray], path: str) -> tuple[StoredArray, .
     for array in found.values():
         if events is not None:
             break
+        if not isinstance(array, StoredArray):
+            continue
         names = array.dtype.names
         if names is not None and len(array.shape) == 1:
             events = named({name: array.of(name) for name in names})
         elif array.shape[1:] == (4,) and array.kind in "iuf":
             events = tuple(map(array.of, range(4)))
     if events is None:
-        what = ", ".join(f"{name or 'an array'} {a.shape} {a.dtype}"
+        what = ", ".join(f"{name or 'an array'} {a.shape} {getattr(a, 'dtype', a.kind)}"
                          for name, a in found.items())
         raise RecordingError(
             f"{path}: no events: arrays t, x, y, p are needed, one with such fields, "

@@ -44,6 +44,8 @@ class Format:
     writer : str or callable, optional
         Called with (path, recording, and the given ones of `write_options`); returns a
         mapping from what the format could not hold to its number.
+    written : tuple of str
+        Suffixes of files that are written, if not all of `suffixes`.
     holds : frozenset of str
         Any of ``"events"``, ``"frames"``, ``"imu"``, ``"triggers"``.
     needs_layout : bool
@@ -74,6 +76,7 @@ class Format:
     folder: str | None = None
     suffixes: tuple[str, ...] = ()
     writer: str | Callable[..., Mapping[str, int]] | None = None
+    written: tuple[str, ...] = ()
     holds: frozenset[str] = frozenset(("events",))
     needs_layout: bool = False
     read_options: tuple[str, ...] = ()
@@ -85,7 +88,9 @@ class Format:
         if not re.fullmatch(r"[a-z][a-z0-9_-]*", self.name):
             raise ValueError(
                 f"name must be lower-case letters and digits, got {self.name!r}")
-        for suffix in self.suffixes:
+        if self.writer is not None and not self.written:
+            object.__setattr__(self, "written", self.suffixes)
+        for suffix in (*self.suffixes, *self.written):
             if not re.fullmatch(r"\.[a-z0-9_.]+", suffix):
                 raise ValueError(
                     f"suffixes must be lower case with a dot, got {suffix!r}")

@@ -21,7 +21,8 @@ from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import SequentialRecording, likely_size
 from pdavis_cv.recording.timeline import FILLED, OFFSET, Clock, Timeline
 
-__all__ = ["PropheseeRecording", "WordStream", "is_prophesee", "ordered_triggers"]
+__all__ = ["EVT2", "EVT3", "FALLING", "RISING", "PropheseeRecording",
+           "WordStream", "is_prophesee", "ordered_triggers"]
 
 MAX_HEADER = 1 << 16
 MAX_SIDE = 8192
@@ -39,7 +40,7 @@ _WORD_BYTES = {DAT: 8, EVT2: 4, EVT21: 8, EVT3: 2}
 # Indices into the kernels' state.
 HIGH, TIME, UNTIMED, TRIGGERS, WORD_STATE = 0, 1, 6, 7, 8
 _TRIGGER_ROOM = 256
-_RISING, _FALLING = 1, 2
+RISING, FALLING = 1, 2
 
 
 def is_prophesee(start: bytes) -> bool:
@@ -72,7 +73,7 @@ def ordered_triggers(t: NDArray[np.int64], rising: NDArray[Any], after_us: int
     keep = t >= np.maximum(np.maximum.accumulate(t), after_us)
     out = np.empty(int(keep.sum()), TRIGGER_DTYPE)
     out["t"] = t[keep]
-    out["type"] = np.where(rising[keep], _RISING, _FALLING)
+    out["type"] = np.where(rising[keep], RISING, FALLING)
     return out, len(t) - len(out)
 
 
@@ -212,7 +213,8 @@ class PropheseeRecording(SequentialRecording):
         return RecordingInfo(
             format=_NAMES[self._version],
             writer=facts.get("generator", "Prophesee"), camera=name, serial=serial,
-            **stated(options, sensor_size=size), frame_count=0, imu_count=0,
+            **stated(options, facts.get("source_facts"), sensor_size=size),
+            frame_count=0, imu_count=0,
             trigger_count=0 if self._version == DAT else None,
             event_count=(self._reader.size - self._begin) // 8 if (
                 self._version == DAT) else None,

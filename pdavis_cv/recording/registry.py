@@ -57,7 +57,8 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
     Format(
         name="rpg", title="HDF5 of rpg and Monash", suffixes=(".h5", ".hdf5"),
         magic=(b"\x89HDF\r\n\x1a\n",), holds=frozenset(("events", "frames")),
-        extra="hdf5", reader=f"{_ROOM}.hdf5.reader:Hdf5Recording"),
+        extra="hdf5", reader=f"{_ROOM}.hdf5.reader:Hdf5Recording",
+        writer=f"{_ROOM}.hdf5.writer:write_rpg"),
     Format(
         name="metavision", title="HDF5 of Metavision", suffixes=(".h5", ".hdf5"),
         magic=(b"\x89HDF\r\n\x1a\n",), holds=frozenset(("events", "triggers")),
@@ -71,11 +72,14 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
         holds=frozenset(("events", "triggers")),
         suffixes=(".raw", ".dat"), by_ranges=True,
         sniff=f"{_ROOM}.prophesee:is_prophesee",
-        reader=f"{_ROOM}.prophesee:PropheseeRecording"),
+        reader=f"{_ROOM}.prophesee:PropheseeRecording",
+        writer=f"{_ROOM}.event_writers:write_raw", written=(".raw",),
+        write_options=("encoding",)),
     Format(
         name="es", title="Event Stream", holds=_EVENTS, suffixes=(".es",),
         by_ranges=True, magic=(b"Event Stream",),
-        reader=f"{_ROOM}.event_stream:EventStreamRecording"),
+        reader=f"{_ROOM}.event_stream:EventStreamRecording",
+        writer=f"{_ROOM}.event_writers:write_es"),
     Format(
         name="rosbag", title="ROS 1 and ROS 2 bags", extra="ros",
         suffixes=(".bag", ".db3", ".mcap"), folder="metadata.yaml",
@@ -86,7 +90,13 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
         name="text", title="events as lines of text", holds=_EVENTS,
         suffixes=(".csv", ".txt"), sniff=f"{_ROOM}.text_form:is_text_events",
         read_options=("columns",),
-        reader=f"{_ROOM}.event_lists:TextRecording"),
+        reader=f"{_ROOM}.event_lists:TextRecording",
+        writer=f"{_ROOM}.event_writers:write_text"),
+    Format(
+        name="parquet", title="Parquet", holds=_EVENTS, extra="parquet",
+        suffixes=(".parquet",), magic=(b"PAR1",),
+        reader=f"{_ROOM}.parquet:ParquetRecording",
+        writer=f"{_ROOM}.event_writers:write_parquet"),
     Format(
         name="images", title="video or images of a polarization camera",
         holds=frozenset(("frames",)), needs_layout=True, extra="frames",
@@ -96,7 +106,8 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
     Format(
         name="numpy", title="NumPy arrays of events", holds=_EVENTS,
         suffixes=(".npy", ".npz"), magic=(b"\x93NUMPY", b"PK\x03\x04"),
-        reader=f"{_ROOM}.event_lists:NumpyRecording"))}, Format)
+        reader=f"{_ROOM}.event_lists:NumpyRecording",
+        writer=f"{_ROOM}.event_writers:write_numpy", written=(".npy",)))}, Format)
 """The formats by name, in the order in which they are tried on a file."""
 
 
@@ -208,13 +219,13 @@ def writer_for(
     suffix = Path(path).suffix.lower()
     found = FORMATS[name] if name is not None else next(
         (one for one in FORMATS.usable().values()
-         if one.writer is not None and suffix in one.suffixes), None)
+         if suffix in one.written), None)
     if found is None:
         raise ValueError(
             f"{Path(path).name}: the name must end in "
             + ", ".join(dict.fromkeys(
-                suffix for one in FORMATS.usable().values() if one.writer is not None
-                for suffix in one.suffixes)))
+                suffix for one in FORMATS.usable().values()
+                for suffix in one.written)))
     if found.writer is None:
         raise ValueError(f"format {name!r} can only be read")
     return found, loaded(found.writer)

@@ -1,4 +1,4 @@
-"""Write HDF5 in the layouts of E2P (events and frames) and DSEC (events)."""
+"""Write HDF5 in the layouts of E2P and rpg (events and frames) and DSEC (events)."""
 from __future__ import annotations
 
 import os
@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv.recording.aedat4.samples import EIGHT_BIT_DN
 from pdavis_cv.recording.base import ApsFrame, Recording, RecordingInfo
 from pdavis_cv.recording.hdf5.reader import CHUNK
 from pdavis_cv.recording.hdf5.sink import written
 from pdavis_cv.recording.writer import source_text
 
-__all__ = ["write_dsec", "write_e2p", "write_hdf5"]
+__all__ = ["write_dsec", "write_e2p", "write_hdf5", "write_rpg"]
 
 
 def write_hdf5(path: str | os.PathLike[str], recording: Recording, *,
@@ -28,8 +29,8 @@ def write_hdf5(path: str | os.PathLike[str], recording: Recording, *,
     path : path
         The file appears under this name when it is complete.
     recording : Recording
-    flavour : {"e2p", "dsec"}
-        E2P holds events and frames; DSEC's layout holds events only.
+    flavour : {"e2p", "dsec", "rpg"}
+        E2P and rpg hold events and frames; DSEC's layout holds events only.
 
     Returns
     -------
@@ -44,7 +45,7 @@ def write_hdf5(path: str | os.PathLike[str], recording: Recording, *,
         If h5py is not installed.
     """
     if flavour not in _FLAVOURS:
-        raise ValueError(f"flavour must be e2p or dsec, got {flavour!r}")
+        raise ValueError(f"flavour must be {', '.join(_FLAVOURS)}, got {flavour!r}")
     info = recording.info
     imu, triggers = [], []
     with write_beside(path) as part, written(part) as file:
@@ -78,21 +79,34 @@ class _E2p:
 
     def __init__(self, file: Any, info: RecordingInfo) -> None:
         self._file, self._size = file, info.sensor_size
-        self._events = _growing(file, "events", "i8", 4)
-        self._images: Any = None
+        self._count = 0
         self._valid: Any = None
         self._times: list[tuple[int, int, int, int, int]] = []
         self.lost: Counter[str] = Counter()
 
+        self._begin()
+
+    def _begin(self) -> None:
+        self._events = _growing(self._file, "events", "i8", 4)
+        self._images: Any = None
+
     def add_events(self, events: NDArray[Any]) -> None:
+        self._count += len(events)
+        self._put_events(events)
+
+    def _put_events(self, events: NDArray[Any]) -> None:
         _append(self._events, np.stack(
             [events[name].astype(np.int64) for name in "txyp"], 1))
 
-    def add_frame(self, frame: ApsFrame) -> None:
+    def _put_image(self, frame: ApsFrame) -> None:
         if self._images is None:
             self._images = _growing(self._file, "frame", "f4", *self._size)
-            self._valid = _growing(self._file, "pdavis/valid", "?", *self._size)
         _append(self._images, frame.dn[None])
+
+    def add_frame(self, frame: ApsFrame) -> None:
+        self._put_image(frame)
+        if self._valid is None:
+            self._valid = _growing(self._file, "pdavis/valid", "?", *self._size)
         _append(self._valid, (np.ones(frame.shape, np.bool_) if frame.valid is None
                               else frame.valid)[None])
         start, end = frame.exposure_start_us, frame.exposure_end_us
@@ -102,15 +116,43 @@ class _E2p:
             half = round(frame.exposure_ms * 500)
             start, end = frame.mid_us - half, frame.mid_us + half
         self._times.append(
-            (frame.mid_us, len(self._events), start, end, frame.available_us))
+            (frame.mid_us, self._count, start, end, frame.available_us))
+
+    stamps: tuple[str, ...] = ("frame_ts", "frame_idx")
 
     def finish(self) -> None:
+        names = (*self.stamps, "pdavis/exposure_start_us", "pdavis/exposure_end_us",
+                 "pdavis/available_us")
         if self._times:
-            for name, values in zip(
-                    ("frame_ts", "frame_idx", "pdavis/exposure_start_us",
-                     "pdavis/exposure_end_us", "pdavis/available_us"),
-                    np.array(self._times, np.int64).T, strict=True):
+            columns = np.array(self._times, np.int64).T[-len(names):]
+            for name, values in zip(names, columns, strict=True):
                 self._file[name] = values
+
+
+class _Rpg(_E2p):
+    """Columns of events, times in seconds; each frame a dataset with its time."""
+
+    stamps = ()
+
+    def _begin(self) -> None:
+        self._columns = {name: _growing(self._file, f"events/{name}s", kind)
+                         for name, kind in (("t", "f8"), ("x", "i2"), ("y", "i2"),
+                                            ("p", "?"))}
+        self._file.attrs["sensor_resolution"] = self._size
+
+    def _put_events(self, events: NDArray[Any]) -> None:
+        for name, column in self._columns.items():
+            _append(column, events[name] / 1e6 if name == "t" else events[name])
+
+    def _put_image(self, frame: ApsFrame) -> None:
+        dn = frame.dn
+        if frame.full_scale_dn == EIGHT_BIT_DN:
+            dn = np.rint(dn / 4).clip(0, 255).astype(np.uint8)
+        image = self._file.create_dataset(
+            f"images/image{len(self._times):09d}", data=dn, compression="gzip")
+        image.attrs["timestamp"] = frame.mid_us / 1e6
+        image.attrs["size"] = self._size
+        image.attrs["event_idx"] = self._count
 
 
 class _Dsec:
@@ -139,7 +181,8 @@ class _Dsec:
         self._file["ms_to_idx"] = self._first
 
 
-_FLAVOURS: dict[str, type[_E2p] | type[_Dsec]] = {"e2p": _E2p, "dsec": _Dsec}
+_FLAVOURS: dict[str, type[_E2p] | type[_Dsec]] = {
+    "e2p": _E2p, "dsec": _Dsec, "rpg": _Rpg}
 
 
 def _growing(file: Any, name: str, dtype: str, *shape: int) -> Any:
@@ -164,3 +207,8 @@ def write_e2p(path: str | os.PathLike[str], recording: Recording) -> Mapping[str
 def write_dsec(path: str | os.PathLike[str], recording: Recording) -> Mapping[str, int]:
     """Write HDF5 in the layout of DSEC; see `write_hdf5`."""
     return write_hdf5(path, recording, flavour="dsec")
+
+
+def write_rpg(path: str | os.PathLike[str], recording: Recording) -> Mapping[str, int]:
+    """Write HDF5 in the layout of rpg; see `write_hdf5`."""
+    return write_hdf5(path, recording, flavour="rpg")
