@@ -234,7 +234,7 @@ def _rss_mb() -> float:
 
 
 def _write(path: Path, samples: list[Sample]) -> None:
-    from pdavis_cv.export import write_beside
+    from pdavis_cv._beside import write_beside
     with write_beside(path) as part, open(part, "w", newline="") as file:
         table = csv.writer(file)
         table.writerow(field.name for field in fields(Sample))

@@ -9,6 +9,7 @@ import reference
 from hypothesis import given, strategies as st
 
 from pdavis_cv import _kernels, render
+from pdavis_cv._opencv import opencv
 
 
 @given(st.floats(0, np.pi, exclude_max=True))
@@ -233,7 +234,7 @@ def test_without_opencv_the_error_says_how_to_get_it(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", without_cv2)
     assert render.aop_bgr(np.zeros((2, 2))).shape == (2, 2, 3)
     with pytest.raises(ImportError, match="pip install opencv"):
-        render.opencv()
+        opencv()
 
 
 def test_pixels_without_an_angle_are_drawn_at_once():

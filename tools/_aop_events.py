@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import AOP_EVENT_DTYPE, AopEvents, Recording, export, render
+from pdavis_cv._beside import write_beside
 from pdavis_cv._types import Events
 from pdavis_cv.calibration.thresholds import resolve_thresholds
 from pdavis_cv.render.colours import Picture
@@ -106,7 +107,7 @@ def _csv(path: Path, pieces: Iterator[Events], facts: dict[str, Any]) -> int:
 def _npy(path: Path, pieces: Iterator[Events], facts: dict[str, Any]) -> int:
     found = [np.empty(0, AOP_EVENT_DTYPE), *pieces]
     together = np.concatenate(found)
-    with export.write_beside(path) as part, part.open("wb") as file:
+    with write_beside(path) as part, part.open("wb") as file:
         np.save(file, together)
     export.write_json(path.with_suffix(".npy.json"), {
         **facts, "units": {"t": "us", "x": "pixel", "y": "pixel", "aop": "rad"}})

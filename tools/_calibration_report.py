@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._beside import write_beside
 from pdavis_cv._types import Image
-from pdavis_cv.export import write_beside
 
 from ._common import can_draw
 

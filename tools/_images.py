@@ -23,6 +23,7 @@ from pdavis_cv import (
 from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.fusion.grid import grid_count, grid_us
+from pdavis_cv.quantities import plane
 
 from ._common import UsageError, covered
 
@@ -97,9 +98,9 @@ def tone_of(
     top = full_scale(recording)
     if usable:
         return render.ToneCurve.of(
-            [export.plane(image, quantity) for image in usable],
+            [plane(image, quantity) for image in usable],
             [image.valid for image in usable], saturated=top and top / 2)
-    if top is None or not any((export.plane(image, quantity) >= top / 2).any()
+    if top is None or not any((plane(image, quantity) >= top / 2).any()
                               for image in images):
         method = str(images[0].provenance["method"])
         raise UsageError(

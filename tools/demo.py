@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import PolarFrame, Recording, aop, export, fuse, render
+from pdavis_cv._opencv import opencv
 from pdavis_cv.analysis import Roi, TraceRecorder
 from pdavis_cv.data import example_recording
 from pdavis_cv.render import ToneCurve
@@ -65,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _shown(args: argparse.Namespace) -> tuple[int, dict[str, Any]]:
     """Write everything; return an exit code, and errors against the truth."""
     folder = args.out
-    render.opencv()
+    opencv()
     folder.mkdir(parents=True, exist_ok=True)
     kept = {name: folder / f"{name}.aedat4" for name in ("fan", "tendon")}
     for name, path in kept.items():

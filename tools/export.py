@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv import PolarFrame, Recording, export, fuse, render
+from pdavis_cv._opencv import opencv
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.quantities import GROUPS, INTENSITY, QUANTITIES, Quantity, chosen
 from pdavis_cv.render.colours import Picture
@@ -80,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             "themselves")
     checked_out(args.out, args.file)
     if suffix not in (".npy", *_STACKS):
-        render.opencv()  # report a missing package before the work
+        opencv()  # report a missing package before the work
     with opened(args) as recording:
         options = fuse_options(args, recording)
         if args.at is not None:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv import Recording, export, fuse, open_recording, render
+from pdavis_cv._opencv import opencv
 from pdavis_cv.analysis import SectorSummary, Wheel, summarise_sectors
 
 from ._common import (
@@ -56,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError("--centre and --radius belong together")
     if not args.slow > 0:
         raise UsageError(f"--slow must be positive, got {args.slow:g}")
-    render.opencv()
+    opencv()
     with opened(args) as recording:
         if args.beside is None:
             lines, facts = make_fan(args, recording, None)

@@ -25,10 +25,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pdavis_cv import Calibration, Recording, __version__
+from pdavis_cv._beside import write_beside
 from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore, pooled
 from pdavis_cv.batch import both_halves, predicted
 from pdavis_cv.errors import PdavisWarning
-from pdavis_cv.export import write_beside, write_csv
+from pdavis_cv.export import write_csv
 from pdavis_cv.reconstruct.base import Estimate
 from pdavis_cv.reconstruct.methods import METHODS, make_reconstructor
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS

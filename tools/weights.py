@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pdavis_cv.export import write_beside
+from pdavis_cv._beside import write_beside
 from pdavis_cv.reconstruct.checkpoint import firenet_weights
 from pdavis_cv.reconstruct.weights import Weights
 

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pdavis_cv.export import write_beside
+from pdavis_cv._beside import write_beside
 from pdavis_cv.tools._common import Parser, UsageError, can_draw, command
 from pdavis_cv.tools._values import within
 

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from lab.paper.print_style import beside_stem
 from pdavis_cv import __version__
-from pdavis_cv.export import write_beside
+from pdavis_cv._beside import write_beside
 from pdavis_cv.tools._common import (
     Parser,
     UsageError,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pdavis_cv import __version__
-from pdavis_cv.export import write_beside
+from pdavis_cv._beside import write_beside
 
 from .print_style import beside_stem
 from .run import Settings

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pdavis_cv.export import write_beside, write_csv
+from pdavis_cv._beside import write_beside
+from pdavis_cv.export import write_csv
 
 from .print_style import beside_stem
 from .run import SHOWN, Row

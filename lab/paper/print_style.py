@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pdavis_cv.export import write_beside
+from pdavis_cv._beside import write_beside
 from pdavis_cv.tools._common import can_draw
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 
-from pdavis_cv.export import write_beside
+from pdavis_cv._beside import write_beside
 from pdavis_cv.tools._common import (
     Parser,
     UsageError,

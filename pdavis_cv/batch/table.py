@@ -10,6 +10,7 @@ from string import Template
 from typing import Any
 
 import pdavis_cv
+from pdavis_cv._beside import write_beside
 from pdavis_cv.batch.results import DONE, Results
 from pdavis_cv.batch.worker import Row
 from pdavis_cv.export.tables import write_csv
@@ -136,7 +137,7 @@ class Table(Sequence[Row]):
         made = {name: _uniform(column) for name, column in zip(
             columns, values or [()] * len(columns), strict=True)}
         with self._results.written("summary.parquet") if path is None else (
-                pdavis_cv.export.write_beside(path)) as part:
+                write_beside(path)) as part:
             parquet.write_table(pyarrow.table(made), part)
 
     def write_page(self, path: Any) -> None:

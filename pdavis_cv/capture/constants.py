@@ -1,44 +1,6 @@
 """Constants in the style of OpenCV: outputs, properties and the backend."""
 from __future__ import annotations
 
-__all__ = [
-    "CAP_PDAVIS",
-    "CAP_PDAVIS_AOP",
-    "CAP_PDAVIS_AOP_BGR",
-    "CAP_PDAVIS_BGR",
-    "CAP_PDAVIS_DOLP",
-    "CAP_PDAVIS_DOLP_BGR",
-    "CAP_PDAVIS_EVENTS_BGR",
-    "CAP_PDAVIS_I0",
-    "CAP_PDAVIS_I45",
-    "CAP_PDAVIS_I90",
-    "CAP_PDAVIS_I135",
-    "CAP_PDAVIS_QUAD",
-    "CAP_PDAVIS_S0",
-    "CAP_PDAVIS_S1",
-    "CAP_PDAVIS_S2",
-    "CAP_PDAVIS_STOKES",
-    "CAP_PDAVIS_VALID",
-    "CAP_PROP_OPEN_TIMEOUT_MSEC",
-    "CAP_PROP_PDAVIS_CAPTURE_FPS",
-    "CAP_PROP_PDAVIS_CAUSAL",
-    "CAP_PROP_PDAVIS_CUTOFF_HZ",
-    "CAP_PROP_PDAVIS_DEMOSAIC",
-    "CAP_PROP_PDAVIS_EXPOSURE_US",
-    "CAP_PROP_PDAVIS_FPS",
-    "CAP_PROP_PDAVIS_GAIN",
-    "CAP_PROP_PDAVIS_GAMMA",
-    "CAP_PROP_PDAVIS_LAYOUT",
-    "CAP_PROP_PDAVIS_LOG",
-    "CAP_PROP_PDAVIS_METHOD",
-    "CAP_PROP_PDAVIS_OUTPUT",
-    "CAP_PROP_PDAVIS_POS_US",
-    "CAP_PROP_PDAVIS_START_US",
-    "CAP_PROP_PDAVIS_WHITE",
-    "CAP_PROP_READ_TIMEOUT_MSEC",
-    "CODE_OF_DEMOSAIC",
-]
-
 CAP_PDAVIS = 9400
 """Backend: a value of ``apiPreference`` and of ``CAP_PROP_BACKEND``."""
 
@@ -83,3 +45,5 @@ CODE_OF_DEMOSAIC = ("bilinear", "superpixel", "binned", "guided")
 # OpenCV's own constants, equal in all versions: timeouts of a live source, ms.
 CAP_PROP_OPEN_TIMEOUT_MSEC = 53
 CAP_PROP_READ_TIMEOUT_MSEC = 54
+
+__all__ = [name for name in dir() if name.isupper()]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from pdavis_cv._beside import write_beside
 from pdavis_cv._opencv import needs_opencv
 from pdavis_cv._types import Facts, Image
+from pdavis_cv.export.embedded import embed
 from pdavis_cv.export.files import SeriesFile
-from pdavis_cv.export.provenance import embed
 from pdavis_cv.export.video import VideoFile
 
 __all__ = ["ANIMATIONS", "AnimationFile", "moving_file"]

@@ -8,7 +8,7 @@ from typing import Any
 
 from pdavis_cv._beside import write_beside
 from pdavis_cv._types import Facts
-from pdavis_cv.export.provenance import embed_png, to_json
+from pdavis_cv.export.embedded import embed_png, to_json
 from pdavis_cv.render import (
     FULL_COLOUR_DOLP,
     LIGHT,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pdavis_cv.export.provenance import to_json
+from pdavis_cv.export.embedded import to_json
 from pdavis_cv.export.stacks import HEADER, StackFile
 from pdavis_cv.recording.hdf5.reader import h5py_module
 from pdavis_cv.recording.hdf5.sink import written

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pdavis_cv.export.provenance import to_json
+from pdavis_cv.export.embedded import to_json
 from pdavis_cv.export.stacks import HEADER, StackFile
 
 __all__ = ["NpzFile"]

@@ -11,7 +11,7 @@ import numpy as np
 
 from pdavis_cv._beside import write_beside
 from pdavis_cv._types import Facts, Image
-from pdavis_cv.export.provenance import to_json
+from pdavis_cv.export.embedded import to_json
 from pdavis_cv.export.stacks import HEADER, StackFile
 
 __all__ = ["OmeTiffFile", "tifffile", "write_maps"]

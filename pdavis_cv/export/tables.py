@@ -11,7 +11,7 @@ import numpy as np
 
 from pdavis_cv._beside import write_beside
 from pdavis_cv._types import Facts
-from pdavis_cv.export.provenance import to_json
+from pdavis_cv.export.embedded import to_json
 
 if TYPE_CHECKING:
     from pdavis_cv.analysis import Traces

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from pdavis_cv._beside import write_beside
 from pdavis_cv._opencv import opencv, set_log_level
 from pdavis_cv._types import Facts, Image
+from pdavis_cv.export.embedded import embed, embed_png
 from pdavis_cv.export.files import SeriesFile
 from pdavis_cv.export.h264 import H264Writer, h264_encoder
-from pdavis_cv.export.provenance import embed, embed_png
 from pdavis_cv.render import even, png_of
 
 __all__ = ["PlaneVideo", "VideoFile", "write_png"]

@@ -24,8 +24,8 @@ from pdavis_cv import (
     analysis,
     export,
     fuse,
-    render,
 )
+from pdavis_cv._opencv import opencv
 from pdavis_cv.export.ometiff import tifffile
 
 from .._common import (
@@ -58,7 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if (args.thickness_um is None) != (args.wavelength_nm is None):
         raise UsageError("--thickness-um and --wavelength-nm belong together")
     report.matplotlib()  # report a missing package before the work
-    render.opencv()
+    opencv()
     tifffile()
     load = None if args.load is None else analysis.read_load(args.load)
     args.out.mkdir(parents=True, exist_ok=True)

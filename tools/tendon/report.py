@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv import analysis, render
-from pdavis_cv.export import write_beside
+from pdavis_cv._beside import write_beside
 
 from .findings import Findings
 from .results import error_of, rounded, rows_of

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv import EVENT_DTYPE, PolarFrame, Recording, render
+from pdavis_cv._opencv import opencv
 from pdavis_cv.mosaic import HALF_SIZE
 
 from .._images import screen_scale, tone_of
@@ -103,7 +104,7 @@ class TendonSheet:
 
     def _mark(self, left: int, top: int, scale: int, enlarged: int) -> Any:
         def mark(picture: render.Picture) -> render.Picture:
-            cv2 = render.opencv()
+            cv2 = opencv()
             size = enlarged / scale
             picture = np.ascontiguousarray(picture)
             for i, roi in enumerate(self.found.fused.rois):

@@ -1,0 +1,75 @@
+"""The names of this room, and the module of each: the only list of them."""
+from .align import (
+    Clock as Clock,
+    align_by_correlation as align_by_correlation,
+    align_by_offset as align_by_offset,
+    align_by_triggers as align_by_triggers,
+)
+from .cycles import PhaseLaw as PhaseLaw
+from .event_tone import event_hz as event_hz
+from .fan import (
+    SectorSummary as SectorSummary,
+    Wheel as Wheel,
+    summarise_sectors as summarise_sectors,
+)
+from .harmonics import (
+    HarmonicFit as HarmonicFit,
+    Harmonics as Harmonics,
+    Wave as Wave,
+    fit_harmonics as fit_harmonics,
+    loop_area as loop_area,
+    of_aop as of_aop,
+    of_dolp as of_dolp,
+    specimen_errors as specimen_errors,
+)
+from .intervals import (
+    events_by_phase as events_by_phase,
+    pixel_intervals as pixel_intervals,
+)
+from .left_out import (
+    CLASSES as CLASSES,
+    HALVES as HALVES,
+    LeftOutFrames as LeftOutFrames,
+    PredictionScore as PredictionScore,
+    observed as observed,
+    pooled as pooled,
+)
+from .load import (
+    LoadTrace as LoadTrace,
+    read_load as read_load,
+)
+from .optics import (
+    birefringence as birefringence,
+    retardance as retardance,
+    subtract_background as subtract_background,
+)
+from .periodic import (
+    Periodic as Periodic,
+    fit_periodic as fit_periodic,
+)
+from .roi import (
+    Roi as Roi,
+    parse_roi as parse_roi,
+    read_rois as read_rois,
+)
+from .rotation import (
+    RotationFit as RotationFit,
+    fit_rotation as fit_rotation,
+)
+from .score import (
+    KnownLight as KnownLight,
+    Score as Score,
+    Scorer as Scorer,
+    axial_difference as axial_difference,
+)
+from .spectrum import (
+    Tone as Tone,
+    dominant_tone as dominant_tone,
+)
+from .traces import (
+    TRACE_DTYPE as TRACE_DTYPE,
+    TraceRecorder as TraceRecorder,
+    Traces as Traces,
+    event_counts as event_counts,
+    region_statistics as region_statistics,
+)
