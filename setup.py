@@ -44,7 +44,6 @@ KERNELS = (
     "_leaky",
     "_learning",
     "_network",
-    "_packed",
     "_picture",
     "_polarization",
     "_redundancy",

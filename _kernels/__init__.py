@@ -71,7 +71,6 @@ from ._learning import (
     learning_silences,
 )
 from ._network import voxel_planes
-from ._packed import unpack_10p, unpack_12p, unpack_packed
 from ._picture import fade_bgr, hue_bgr, ramp_bgr, tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
 from ._redundancy import (

@@ -100,9 +100,6 @@ __all__ = [
     "surface",
     "texture_stokes",
     "tone_bgr",
-    "unpack_10p",
-    "unpack_12p",
-    "unpack_packed",
     "video_events",
     "voxel",
     "voxel_planes",
@@ -393,9 +390,6 @@ def ramp_bgr(
 def tone_bgr(
     plane: NDArray[Any], valid: _U8, scale: float, least: float, table: _U8, out: _U8
 ) -> None: ...
-def unpack_10p(data: _U8, out: NDArray[np.uint16]) -> None: ...
-def unpack_12p(data: _U8, out: NDArray[np.uint16]) -> None: ...
-def unpack_packed(data: _U8, bits: int, out: NDArray[np.uint16]) -> None: ...
 def surface(events: NDArray[Any], t: int, rate: float, out: _F32) -> None: ...
 def voxel(events: NDArray[Any], start: int, stop: int, out: _F32) -> int: ...
 def voxel_planes(

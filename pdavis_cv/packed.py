@@ -3,26 +3,18 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import _kernels
 from pdavis_cv._types import Image
 
 __all__ = ["PACKINGS", "unpack"]
 
-_Kernel = Callable[[NDArray[np.uint8], NDArray[np.uint16]], None]
-
-# Packing -> (kernel, pixels in a group, bytes of a group).
-_KERNELS: dict[str, tuple[_Kernel, int, int]] = {
-    "10p": (_kernels.unpack_10p, 4, 5),
-    "12p": (_kernels.unpack_12p, 2, 3),
-    "10packed": (lambda data, out: _kernels.unpack_packed(data, 10, out), 2, 3),
-    "12packed": (lambda data, out: _kernels.unpack_packed(data, 12, out), 2, 3),
-}
-PACKINGS = tuple(_KERNELS)
+# Packing -> (bits of a pixel, pixels in a group, bytes of a group).
+_GROUPS = {"10p": (10, 4, 5), "12p": (12, 2, 3),
+           "10packed": (10, 2, 3), "12packed": (12, 2, 3)}
+PACKINGS = tuple(_GROUPS)
 """Names of packings, after the pixel formats Mono10p, Mono12Packed ..."""
 
 
@@ -61,10 +53,10 @@ def unpack(
     >>> unpack(bytes([0x12, 0x34, 0x56]), "12packed", (1, 2)).tolist()
     [[292, 1379]]
     """
-    if packing not in _KERNELS:
+    if packing not in _GROUPS:
         raise ValueError(
             f"packing must be one of {', '.join(PACKINGS)}, got {packing!r}")
-    kernel, pixels, size = _KERNELS[packing]
+    bits, pixels, size = _GROUPS[packing]
     raw: Image = (
         np.asarray(data) if isinstance(data, np.ndarray)
         else np.frombuffer(data, np.uint8))
@@ -78,6 +70,16 @@ def unpack(
         raise ValueError(
             f"data must hold {needed} bytes for {count} pixels of {packing}, got "
             f"{raw.size}")
-    out = np.empty(shape, np.uint16)
-    kernel(np.ascontiguousarray(raw).reshape(-1), out.reshape(-1))
-    return out
+    whole = np.zeros((groups + bool(rest), size), np.uint8)
+    whole.reshape(-1)[:needed] = raw.reshape(-1)[:needed]
+    part = whole.T.astype(np.uint16)
+    out = np.empty((len(whole), pixels), np.uint16)
+    for i in range(pixels):
+        if packing.endswith("packed"):
+            upper, lower = part[2 * i] << (bits - 8), part[1] >> (4 * i)
+            out[:, i] = upper | lower & (2**(bits - 8) - 1)
+        else:
+            at, shift = divmod(i * bits, 8)
+            out[:, i] = (
+                part[at] >> shift | part[at + 1] << (8 - shift)) & (2**bits - 1)
+    return out.reshape(-1)[:count].reshape(shape)

@@ -6,7 +6,7 @@ import pytest
 import reference
 from hypothesis import given, strategies as st
 
-from pdavis_cv import _kernels, unpack
+from pdavis_cv import unpack
 from pdavis_cv.packed import PACKINGS
 
 BITS = {"10p": 10, "12p": 12, "10packed": 10, "12packed": 12}
@@ -68,17 +68,6 @@ def test_unpack_refuses_what_it_cannot_read():
         unpack(b"", "14p", (1,))
     with pytest.raises(TypeError, match="data must be bytes or uint8, got uint16"):
         unpack(np.zeros(9, np.uint16), "12p", (1,))
-
-
-def test_kernels_check_sizes_themselves():
-    out = np.zeros(4, np.uint16)
-    for kernel in (_kernels.unpack_10p, _kernels.unpack_12p):
-        with pytest.raises(ValueError, match="too short"):
-            kernel(np.zeros(4, np.uint8), out)
-    with pytest.raises(ValueError, match="too short"):
-        _kernels.unpack_packed(np.zeros(5, np.uint8), 12, out)
-    with pytest.raises(ValueError, match="bits must be 10 or 12"):
-        _kernels.unpack_packed(np.zeros(9, np.uint8), 8, out)
 
 
 def test_input_may_be_strided_and_read_only_and_is_left_alone():
