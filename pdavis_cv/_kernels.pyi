@@ -97,11 +97,9 @@ __all__ = [
     "store_unlink",
     "stream_events",
     "superpixel",
-    "surface",
     "texture_stokes",
     "tone_bgr",
     "video_events",
-    "voxel",
     "voxel_planes",
 ]
 
@@ -390,8 +388,6 @@ def ramp_bgr(
 def tone_bgr(
     plane: NDArray[Any], valid: _U8, scale: float, least: float, table: _U8, out: _U8
 ) -> None: ...
-def surface(events: NDArray[Any], t: int, rate: float, out: _F32) -> None: ...
-def voxel(events: NDArray[Any], start: int, stop: int, out: _F32) -> int: ...
 def voxel_planes(
     events: NDArray[Any], last: int, start: int, stop: int, steps: _F32,
     height: int, width: int, out: _F32, seen: _U8,

@@ -222,14 +222,6 @@ def table():
     rows = [
         ("accumulate", p.accumulate, {
             "events": events, "shape": SIZE, "theta": (0.2, 0.2), **span}),
-        ("voxel_grid", p.voxel_grid, {
-            "events": events, "shape": SIZE, "bins": 5, **span}),
-        ("time_surface", p.time_surface, {
-            "events": events, "shape": SIZE, "tau_us": 1e4, "t_us": 99_000}),
-        ("slices", lambda **k: list(itertools.islice(p.slices(**k), 50)), {
-            "events": events, "duration_us": 10_000, **span}),
-        ("slices by count", lambda **k: list(itertools.islice(p.slices(**k), 50)), {
-            "events": events, "count": 7, **span}),
         ("as_events", p.as_events, {"events": events}),
         ("aop", p.aop, {"s1": plane, "s2": plane}),
         ("dolp", p.dolp, {"s0": plane, "s1": plane, "s2": plane}),

@@ -6,9 +6,11 @@ from numpy.typing import NDArray
 
 from pdavis_cv._checks import positive, whole_number
 from pdavis_cv._types import Events
-from pdavis_cv.events import MOST_BINS, timed_events
+from pdavis_cv.events import timed_events
 
 __all__ = ["events_by_phase", "pixel_intervals"]
+
+_MOST_BINS = 65_536     # a choice
 
 
 def pixel_intervals(events: Events, width: int) -> NDArray[np.int64]:
@@ -58,7 +60,7 @@ def events_by_phase(
         If the period or the number of bins is not positive.
     """
     events, period_us = timed_events(events), positive("period_us", period_us)
-    bins = whole_number("bins", bins, 1, MOST_BINS)
+    bins = whole_number("bins", bins, 1, _MOST_BINS)
     part = np.floor(events["t"] % period_us / period_us * bins).astype(np.int64)
     part = np.minimum(part, bins - 1)  # rounding may give a phase of one period
     return np.bincount(
