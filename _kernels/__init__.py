@@ -72,7 +72,7 @@ from ._learning import (
 )
 from ._network import voxel_planes
 from ._picture import fade_bgr, hue_bgr, ramp_bgr, tone_bgr
-from ._polarization import aop, aop_dolp, dolp, mix, polarize, stokes
+from ._polarization import aop, aop_dolp, dolp, mix, stokes
 from ._redundancy import (
     redundancy_read,
     redundancy_sample,

@@ -1,8 +1,5 @@
 """Stokes parameters, angle and degree of linear polarization."""
-from _kernels._rows cimport (
-    aop_row, bilinear_row, check_places, dolp_row, mix_row, plane_of_place,
-    polarization_row, row_stride, scratch_row, stokes_row)
-from _kernels._types cimport pixel_t
+from _kernels._rows cimport aop_row, dolp_row, mix_row, polarization_row, stokes_row
 
 
 def stokes(const float[:, ::1] quad not None, float gain,
@@ -74,34 +71,3 @@ def aop_dolp(const float[:, ::1] quad not None, float gain,
     with nogil:
         polarization_row(&quad[0, 0], &quad[1, 0], &quad[2, 0], &quad[3, 0], gain, n,
                          &aop[0], &dolp[0])
-
-
-def polarize(const pixel_t[:, ::1] mosaic not None,
-             const Py_ssize_t[::1] places not None, float gain,
-             float[::1] scratch not None,
-             float[:, ::1] aop not None, float[:, ::1] dolp not None):
-    """Angle and degree of a mosaic (h, w), sides >= 2, demosaiced row by row.
-
-    The same bits as `bilinear` and then `aop_dolp`; scratch is
-    6 * (w + 32) + 32 floats.
-    """
-    cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], c, y
-    cdef Py_ssize_t plane[4]
-    cdef float* to[4]
-    cdef float* row[6]
-    if (h < 2 or w < 2 or aop.shape[0] != h or aop.shape[1] != w
-            or dolp.shape[0] != h or dolp.shape[1] != w):
-        raise ValueError("polarize: mosaic, aop and dolp must be (h, w), sides >= 2")
-    if scratch.shape[0] < 6 * row_stride(w) + 32:
-        raise ValueError("polarize: scratch must be 6 * (w + 32) + 32 floats")
-    check_places(places)
-    plane_of_place(places, plane)
-    for c in range(6):
-        row[c] = scratch_row(&scratch[0], c, w)
-    for c in range(4):
-        to[c] = row[plane[c]]
-    with nogil:
-        for y in range(h):
-            bilinear_row(&mosaic[0, 0], y, h, w, 1.0, row[4], row[5], to)
-            polarization_row(row[0], row[1], row[2], row[3], gain, w,
-                             &aop[y, 0], &dolp[y, 0])

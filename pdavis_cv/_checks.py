@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from pdavis_cv._types import Events, Image
+from pdavis_cv._types import Image
 
 __all__ = ["MOST_ANGLE", "MOST_FPS", "MOST_RPM", "MOST_SIDE", "checked_rate",
-           "checked_threshold", "output", "outputs", "place", "plain", "positive",
+           "checked_threshold", "output", "place", "plain", "positive",
            "real_number", "sensor_shape", "whole_number"]
 
 MOST_SIDE = 65_536
@@ -78,48 +78,6 @@ def output(
                 and np.shares_memory(out, array)):
             raise ValueError(f"{name} must not overlap an input, got memory of one")
     return out
-
-
-def outputs(
-    out: Sequence[NDArray[Any] | None] | None,
-    specs: Sequence[tuple[str, tuple[int, ...], DTypeLike]],
-    *inputs: NDArray[Any] | None,
-) -> tuple[NDArray[Any], ...]:
-    """Return one checked or new array per (name, shape, dtype) of ``specs``.
-
-    Parameters
-    ----------
-    out : tuple of (ndarray or None), or None
-        The caller's argument, in the order of the results.
-    specs : sequence of (str, tuple of int, dtype_like)
-        Name, shape and dtype of each result.
-    *inputs : ndarray or None
-        Arrays that no entry may overlap.
-
-    Raises
-    ------
-    TypeError
-        If ``out`` is not a tuple, or an entry is not an array of its dtype.
-    ValueError
-        If the number of entries differs, an entry is unfit (see `output`), or two
-        entries overlap.
-    """
-    if out is None:
-        return tuple(np.empty(shape, dtype) for _, shape, dtype in specs)
-    if not isinstance(out, tuple) or len(out) != len(specs):
-        names = ", ".join(name for name, _, _ in specs)
-        if not isinstance(out, tuple):
-            raise TypeError(
-                f"out must be a tuple ({names}) of arrays or None, got "
-                f"{type(out).__name__}")
-        raise ValueError(
-            f"out must have {len(specs)} entries ({names}), got {len(out)}")
-    checked: list[Events] = []
-    for array, (name, shape, dtype) in zip(out, specs, strict=True):
-        # A new array cannot overlap the others, so only given ones are compared.
-        others = () if array is None else (*inputs, *checked)
-        checked.append(output(array, shape, dtype, *others, name=f"out ({name})"))
-    return tuple(checked)
 
 
 def positive(name: str, value: float) -> float:

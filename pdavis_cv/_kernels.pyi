@@ -78,7 +78,6 @@ __all__ = [
     "pack_aedat4_events",
     "pixel_events",
     "plane_waves",
-    "polarize",
     "ramp_bgr",
     "reached",
     "read_out",
@@ -316,10 +315,6 @@ def pack_aedat2_events(
     events: NDArray[Any], origin: int, height: int, width: int, out: _U8
 ) -> None: ...
 def pack_aedat4_events(events: NDArray[Any], at: int, out: _U8) -> None: ...
-def polarize(
-    mosaic: NDArray[_Pixel], places: NDArray[np.intp], gain: float, scratch: _F32,
-    aop: _F32, dolp: _F32
-) -> None: ...
 def reconcile(quad: _F32, variance: _F32, null: _F32) -> None: ...
 def stokes(quad: _F32, gain: float, out: _F32) -> None: ...
 def superpixel(

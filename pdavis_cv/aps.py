@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import outputs
 
 __all__ = ["LEAST_RESET_DN", "LEAST_SIGNAL_DN", "cds", "clip_level", "correct"]
 
@@ -23,7 +22,6 @@ def cds(
     signal: NDArray[np.uint16],
     dark: ArrayLike | None = None,
     gain: ArrayLike | None = None,
-    out: tuple[NDArray[np.float32] | None, NDArray[np.bool_] | None] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Correlated double sampling: (reset - signal - dark) * gain.
 
@@ -37,8 +35,6 @@ def cds(
         Offset without light, DN.
     gain : array_like, shape (H, W) or scalar, optional
         Factor that equalizes the pixels.
-    out : tuple of (float32 array, bool array), shape (H, W), optional
-        Receives the results; an entry may be None.
 
     Returns
     -------
@@ -53,7 +49,7 @@ def cds(
     TypeError
         If a read is not uint16.
     ValueError
-        If shapes differ or ``out`` does not fit.
+        If shapes differ.
 
     Examples
     --------
@@ -74,9 +70,7 @@ def cds(
         raise ValueError(
             f"signal must have the shape of reset, {shape}, got {reads[1].shape}")
     offsets, factors = _plane("dark", dark, shape), _plane("gain", gain, shape)
-    dn, valid = outputs(
-        out, (("dn", shape, np.float32), ("valid", shape, np.bool_)),
-        *reads, offsets, factors)
+    dn, valid = np.empty(shape, np.float32), np.empty(shape, np.bool_)
     _kernels.cds(reads[0], reads[1], offsets, factors, LEAST_RESET_DN,
                  LEAST_SIGNAL_DN, dn, valid.view(np.uint8))
     return dn, valid
@@ -88,7 +82,6 @@ def correct(
     gain: ArrayLike | None = None,
     clip_dn: float | None = None,
     valid: NDArray[np.bool_] | None = None,
-    out: tuple[NDArray[np.float32] | None, NDArray[np.bool_] | None] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Correct a frame for dark offset and gain, and mark its saturated pixels.
 
@@ -104,8 +97,6 @@ def correct(
         Pixels whose ``dn``, as read, is at or above this are saturated.
     valid : ndarray of bool, shape (H, W), optional
         True = usable; default: all.
-    out : tuple of (float32 array, bool array), shape (H, W), optional
-        Receives the results; an entry may be None.
 
     Returns
     -------
@@ -119,7 +110,7 @@ def correct(
     TypeError
         If ``dn`` is not float32 or ``valid`` not bool.
     ValueError
-        If shapes differ or ``out`` does not fit.
+        If shapes differ.
     """
     if not isinstance(dn, np.ndarray) or dn.dtype != np.float32:
         kind = getattr(dn, "dtype", type(dn).__name__)
@@ -132,10 +123,9 @@ def correct(
         raise ValueError(f"valid must have shape {dn.shape}, got {valid.shape}")
     raw = np.ascontiguousarray(dn)
     offsets, factors = _plane("dark", dark, raw.shape), _plane("gain", gain, raw.shape)
-    result, usable = outputs(
-        out, (("dn", raw.shape, np.float32), ("valid", raw.shape, np.bool_)),
-        raw, offsets, factors, valid)
-    usable[...] = True if valid is None else valid
+    result = np.empty(raw.shape, np.float32)
+    usable = np.ones(raw.shape, np.bool_) if valid is None else np.array(
+        valid, order="C")
     # A limit of +inf marks no finite value, only +inf itself.
     limit = np.inf if clip_dn is None else float(clip_dn)
     _kernels.correct(raw, offsets, factors, limit, result, usable.view(np.uint8))

@@ -10,16 +10,9 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 import pdavis_cv
 from pdavis_cv import _kernels
 from pdavis_cv._advice import Advises
-from pdavis_cv._checks import outputs
 from pdavis_cv._types import Facts, Image
 from pdavis_cv.analyser import Analyser, stokes_gain
-from pdavis_cv.mosaic import (
-    check_method,
-    checked_mosaic,
-    demosaic as demosaic_mosaic,
-    places_of,
-    scratch_rows,
-)
+from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.sensor import Layout
 from pdavis_cv.stokes_vector import (
     aop,
@@ -85,18 +78,16 @@ class PolarFrame(Advises):
     """
 
     __slots__ = (
-        "_analyser", "_aop_dolp", "_mosaic", "_origin", "_provenance", "_quad",
-        "_quality",
+        "_analyser", "_aop_dolp", "_origin", "_provenance", "_quad", "_quality",
         "_reconciled", "_sigmas", "_stokes", "_usable", "_valid", "_variance",
         "extinction_ratio", "frame_us", "t_us")
 
     t_us: int | None
     frame_us: int | None
     extinction_ratio: float | None
-    _quad: NDArray[np.float32] | None
+    _quad: NDArray[np.float32]
     _quality: NDArray[np.float32] | None
     _reconciled: bool
-    _mosaic: tuple[Image, Layout] | None
     _origin: PolarFrame | None
     _aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None
     _sigmas: tuple[
@@ -167,47 +158,6 @@ class PolarFrame(Advises):
             frame._aop_dolp = frozen(aop_dolp[0]), frozen(aop_dolp[1])
         return frame
 
-    @classmethod
-    def adopt_mosaic(
-        cls,
-        mosaic: Image,
-        layout: Layout,
-        *,
-        valid: NDArray[np.bool_] | None = None,
-        t_us: int | None = None,
-        frame_us: int | None = None,
-        extinction_ratio: float | None = None,
-        provenance: Facts | None = None,
-        quality: NDArray[np.float32] | None = None,
-    ) -> Self:
-        """Make a PolarFrame from a mosaic, by bilinear interpolation at first use.
-
-        Angle and degree are then computed in one pass from the mosaic's pixels.
-
-        Parameters
-        ----------
-        mosaic : ndarray of uint8, uint16 or float32, shape (H, W)
-            Linear intensity, C-contiguous, sides at least 2; becomes read-only, and no
-            other code may keep a reference to its memory.
-        layout : Layout
-            Polarizer in front of each pixel.
-        valid : ndarray of bool, optional
-        t_us, frame_us : int, optional
-        extinction_ratio : float, optional
-        provenance : mapping of str to object, optional
-        quality : ndarray of float32, optional
-            As for `adopt`.
-
-        Returns
-        -------
-        PolarFrame
-        """
-        mosaic.flags.writeable = False
-        frame = cls.__new__(cls)
-        frame._set(None, valid, t_us, frame_us, extinction_ratio, None, None,
-                   provenance, (mosaic, layout), quality)
-        return frame
-
     def retimed(
         self, t_us: int, frame_us: int | None, provenance: Facts
     ) -> Self:
@@ -234,7 +184,7 @@ class PolarFrame(Advises):
 
     def _set(
         self,
-        quad: NDArray[np.float32] | None,
+        quad: NDArray[np.float32],
         valid: NDArray[np.bool_] | None,
         t_us: int | None,
         frame_us: int | None,
@@ -242,14 +192,13 @@ class PolarFrame(Advises):
         analyser: ArrayLike | Analyser | None,
         variance: NDArray[np.float32] | None,
         provenance: Facts | None,
-        mosaic: tuple[Image, Layout] | None = None,
         quality: NDArray[np.float32] | None = None,
         reconciled: bool = False,
     ) -> None:
-        self._quad, self._mosaic, self._reconciled = quad, mosaic, reconciled
+        self._quad, self._reconciled = quad, reconciled
         self._origin = None     # the image whose cached quantities this one uses
         self._aop_dolp = self._sigmas = self._stokes = self._usable = None
-        if quad is not None and (quad.ndim != 3 or quad.shape[0] != 4):
+        if quad.ndim != 3 or quad.shape[0] != 4:
             raise ValueError(f"quad must have shape (4, H, W), got {quad.shape}")
         if valid is not None and valid.dtype != np.bool_:
             raise TypeError(f"valid must be bool, got {valid.dtype}")
@@ -276,19 +225,12 @@ class PolarFrame(Advises):
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
-        planes = self._quad if self._mosaic is None else self._mosaic[0]
-        assert planes is not None
-        height, width = planes.shape[-2:]
+        height, width = self._quad.shape[-2:]
         return height, width
 
     @property
     def quad(self) -> NDArray[np.float32]:
         """I0, I45, I90, I135; float32, shape (4, H, W)."""
-        if self._quad is None and self._origin is not None:
-            self._quad = self._origin.quad
-        if self._quad is None:
-            assert self._mosaic is not None
-            self._quad = frozen(demosaic_mosaic(*self._mosaic))
         return self._quad
 
     @property
@@ -397,31 +339,20 @@ class PolarFrame(Advises):
             self._stokes = s0, s1, s2
         return self._stokes
 
-    def _angle_and_degree(
-        self, out: tuple[NDArray[np.float32] | None, ...] | None = None
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _angle_and_degree(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         if self._aop_dolp is None and self._origin is not None:
             self._aop_dolp = self._origin._angle_and_degree()
         if self._aop_dolp is not None:
             return self._aop_dolp
-        shape = self.shape
-        angle, degree = outputs(
-            out, (("aop", shape, np.float32), ("dolp", shape, np.float32)))
-        gain = stokes_gain(self.extinction_ratio)
+        angle, degree = (np.empty(self.shape, np.float32) for _ in range(2))
         if self._analyser is not None or self._stokes is not None:
             s0, s1, s2 = self._planes()
             aop(s1, s2, angle)
             dolp(s0, s1, s2, degree)
-        elif self._quad is None and self._mosaic is not None:
-            mosaic, layout = self._mosaic
-            if mosaic.size:
-                scratch = scratch_rows(6, mosaic.shape[1])
-                _kernels.polarize(
-                    mosaic, places_of(layout), gain, scratch, angle, degree)
         else:
-            _kernels.aop_dolp(
-                flat(self.quad), gain, angle.reshape(-1), degree.reshape(-1))
-        self._aop_dolp = frozen(angle.view()), frozen(degree.view())
+            _kernels.aop_dolp(flat(self.quad), stokes_gain(self.extinction_ratio),
+                              angle.reshape(-1), degree.reshape(-1))
+        self._aop_dolp = frozen(angle), frozen(degree)
         return self._aop_dolp
 
     def _propagated(
@@ -439,8 +370,8 @@ class PolarFrame(Advises):
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored_frame, (
             self._quad, self._valid, self.t_us, self.frame_us, self.extinction_ratio,
-            self._analyser, self._variance, self._provenance, self._mosaic,
-            self._quality, self._reconciled)
+            self._analyser, self._variance, self._provenance, self._quality,
+            self._reconciled)
 
     def __array__(
         self, dtype: DTypeLike | None = None, copy: bool | None = None
@@ -487,43 +418,29 @@ def polarization(
     layout: Layout | str,
     demosaic: str = "bilinear",
     extinction_ratio: float | None = None,
-    out: tuple[NDArray[np.float32] | None, NDArray[np.float32] | None] | None = None,
 ) -> PolarFrame:
     """Make a PolarFrame from a mosaic.
 
     Parameters
     ----------
     mosaic : ndarray of uint8, uint16 or float32, shape (H, W)
-        Linear intensity, row 0 at the top; copied.
+        Linear intensity, row 0 at the top.
     layout : Layout or str
         Polarizer in front of each pixel, or its name; see `Layout.of`.
     demosaic : {"bilinear", "superpixel", "binned", "guided"}
         As in `pdavis_cv.demosaic`; ``"superpixel"`` and ``"binned"`` halve the size.
     extinction_ratio : float, optional
         S1 and S2 are multiplied by (ER + 1) / (ER - 1).
-    out : tuple of two float32 arrays, shape of the result, optional
-        Receive AoP and DoLP immediately; an entry may be None.  The frame shares these
-        arrays with the caller.
 
     Returns
     -------
     PolarFrame
-        Without ``t_us``; quantities are computed at first use.
+        Without ``t_us``.
 
     Raises
     ------
     TypeError, ValueError
         As for `pdavis_cv.demosaic` and `stokes`.
     """
-    pixels = checked_mosaic(mosaic)
-    check_method(demosaic, pixels.shape)
-    layout = Layout.of(layout)
-    if demosaic != "bilinear":
-        quad = demosaic_mosaic(pixels, layout, demosaic)
-        frame = PolarFrame.adopt(quad, extinction_ratio=extinction_ratio)
-    else:
-        frame = PolarFrame.adopt_mosaic(
-            pixels.copy(), layout, extinction_ratio=extinction_ratio)
-    if out is not None:
-        frame._angle_and_degree(out)
-    return frame
+    return PolarFrame.adopt(
+        demosaic_mosaic(mosaic, layout, demosaic), extinction_ratio=extinction_ratio)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from pdavis_cv._checks import output, outputs, positive, sensor_shape
+from pdavis_cv._checks import output, positive, sensor_shape
 
 
 def test_without_out_a_new_array_is_made():
@@ -41,34 +41,6 @@ def test_out_must_not_overlap_an_input():
 def test_an_input_that_is_interleaved_with_out_does_not_overlap():
     memory = np.zeros((4, 2), np.float32)
     assert output(memory[1], (2,), np.float32, memory[::2]).base is memory
-
-
-SPECS = (("a", (2,), np.float32), ("b", (3,), np.uint8))
-
-
-def test_a_tuple_may_leave_entries_out():
-    b = np.zeros(3, np.uint8)
-    first, second = outputs((None, b), SPECS)
-    assert second is b
-    assert (first.shape, first.dtype) == ((2,), np.float32)
-    assert [array.shape for array in outputs(None, SPECS)] == [(2,), (3,)]
-
-
-@pytest.mark.parametrize(("out", "error", "message"), [
-    (np.zeros(2), TypeError, r"out must be a tuple \(a, b\) of arrays or None, got nd"),
-    ((None,), ValueError, r"out must have 2 entries \(a, b\), got 1"),
-    ((None, np.zeros(3)), TypeError, r"out \(b\) must be uint8, got float64"),
-])
-def test_an_unfit_tuple_is_refused(out, error, message):
-    with pytest.raises(error, match=message):
-        outputs(out, SPECS)
-
-
-def test_entries_must_not_overlap_each_other():
-    memory = np.zeros(8, np.uint8)
-    entries = memory.view(np.float32), memory[:3]
-    with pytest.raises(ValueError, match=r"out \(b\) must not overlap"):
-        outputs(entries, SPECS)
 
 
 @pytest.mark.parametrize("value", [0, -1, float("nan"), float("inf")])

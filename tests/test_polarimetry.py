@@ -166,19 +166,6 @@ def test_an_empty_mosaic_gives_an_empty_frame():
     assert frame.aop.shape == frame.valid.shape == (0, 6)
 
 
-def test_polarization_writes_into_out():
-    mosaic = random_mosaic((6, 8), np.uint8)
-    want = pdavis_cv.polarization(mosaic, Layout.SONY)
-    angle, degree = np.full((2, 6, 8), np.nan, np.float32)
-    frame = pdavis_cv.polarization(mosaic, Layout.SONY, out=(angle, degree))
-    np.testing.assert_array_equal(angle, want.aop)
-    np.testing.assert_array_equal(degree, want.dolp)
-    assert np.shares_memory(frame.aop, angle)
-    assert angle.flags.writeable
-    frame = pdavis_cv.polarization(mosaic, Layout.SONY, out=(None, degree))
-    np.testing.assert_array_equal(frame.aop, want.aop)
-
-
 def test_a_frame_survives_changes_of_what_it_was_made_from():
     mosaic, quad = np.full((4, 4), 7, np.uint8), np.ones((4, 2, 2), np.float32)
     usable = np.ones((2, 2), bool)
@@ -414,8 +401,6 @@ def test_a_response_that_determines_nothing_is_placed():
     (lambda: pdavis_cv.polarization(np.ones((4, 4), "u1"), Layout.SONY,
                                     extinction_ratio=0), ValueError,
      "extinction_ratio must be greater than 1, got 0"),
-    (lambda: pdavis_cv.polarization(np.ones((4, 4), "u1"), Layout.SONY, out=(None,)),
-     ValueError, "out must have 2 entries"),
 ])
 def test_a_bad_argument_is_named(call, error, words):
     with pytest.raises(error, match=words):
@@ -449,21 +434,13 @@ def test_eight_threads_share_frames():
 def test_the_kernels_check_sizes_themselves():
     kernels = pdavis_cv._kernels
     f4 = np.zeros((4, 6), np.float32)
-    image, places = np.zeros((4, 4), np.float32), np.arange(4, dtype=np.intp)
-    scratch = np.zeros(6 * 36 + 32, np.float32)
     for call, words in (
             (lambda: kernels.stokes(f4, 1.0, f4), "stokes"),
             (lambda: kernels.aop(f4[0], f4[0, :5], f4[0]), "aop"),
             (lambda: kernels.dolp(f4[0], f4[0], f4[0, :5], f4[0]), "dolp"),
             (lambda: kernels.aop_dolp(f4, 1.0, f4[0], f4[0, :5]), "aop_dolp"),
             (lambda: kernels.mix(f4, f4, f4[:3]), "mix: solution"),
-            (lambda: kernels.mix(f4, np.zeros((12, 6), "f4"), f4), "mix: quad"),
-            (lambda: kernels.polarize(image, places, 1.0, scratch, image, image[:2]),
-             "polarize: mosaic"),
-            (lambda: kernels.polarize(image, places, 1.0, f4[0], image, image),
-             "polarize: scratch"),
-            (lambda: kernels.polarize(image, places[::-1].copy() * 0, 1.0, scratch,
-                                      image, image), "permutation")):
+            (lambda: kernels.mix(f4, np.zeros((12, 6), "f4"), f4), "mix: quad")):
         with pytest.raises(ValueError, match=words):
             call()
 

@@ -235,14 +235,13 @@ def _polarization() -> Iterator[Comparison]:
     ramp = 200 + np.add.outer(0.3 * np.arange(height), 0.5 * np.arange(width))
     noise = np.random.default_rng(3).normal(0, 5, SHAPE)
     floor_cv2 = FloorCv2(SHAPE, layout)
-    angle, degree = np.empty((2, *SHAPE), np.float32)
     for dtype in (np.uint8, np.uint16, np.float32):
         scale = 0.25 if dtype is np.uint8 else 1.0
         mosaic = (scale * (mosaic_input(SHAPE, layout, 0.7, 0.6, ramp) + noise)).astype(
             dtype)
 
         def candidate(mosaic: NDArray[Any] = mosaic) -> float:
-            return _seconds(lambda: polarization(mosaic, layout, out=(angle, degree)))
+            return _seconds(lambda: polarization(mosaic, layout).aop)
 
         def floor(mosaic: NDArray[Any] = mosaic) -> float:
             threads = cv2.getNumThreads()
@@ -255,9 +254,9 @@ def _polarization() -> Iterator[Comparison]:
         def check() -> None:
             for brightness in (300.0, ramp):
                 even = mosaic_input(SHAPE, layout, 0.7, 0.6, brightness)
-                polarization(even.astype(np.float32), layout, out=(angle, degree))
-                np.testing.assert_allclose(angle, 0.7, rtol=0, atol=1e-5)
-                np.testing.assert_allclose(degree, 0.6, rtol=0, atol=1e-5)
+                image = polarization(even.astype(np.float32), layout)
+                np.testing.assert_allclose(image.aop, 0.7, rtol=0, atol=1e-5)
+                np.testing.assert_allclose(image.dolp, 0.6, rtol=0, atol=1e-5)
             floor_cv2(mosaic_input(SHAPE, layout, 0.7, 0.6))
             np.testing.assert_allclose(floor_cv2.angle, 1.4, rtol=0, atol=1e-3)
             np.testing.assert_allclose(floor_cv2.dolp, 0.6, rtol=0, atol=1e-5)

@@ -125,8 +125,6 @@ class ImageMaker:
         # The arrays are new and nobody else's: the image takes them over.
         about |= {"valid": self._valid(estimate.valid),
                   "extinction_ratio": self._ratio, "quality": self._quality(quality)}
-        if estimate.variance is None and self._whole and self._analyser is None:
-            return PolarFrame.adopt_mosaic(intensity, self._layout, **about)
         if estimate.variance is not None and self._whole:
             return self._in_one_pass(intensity, estimate.variance, about)
         quad, variance = self._channels(intensity, estimate.variance, estimate.valid)
