@@ -60,12 +60,51 @@ def command(running, what, value=None, **headers):
     return status, json.loads(body)
 
 
-def frame(running, **values):
+def frame(running, **asked):
     """Return what the page gets: a JSON text and pictures."""
-    query = "&".join(f"{name}={value}" for name, value in values.items())
-    status, body = ask(running, f"/frame?{query}")
-    assert status == 200, body
+    link, file, _ = opened(running)
+    with link, file:
+        sent(link, json.dumps(asked).encode())
+        kind, body = message(file)
+    assert kind == 2, body
     return parted(body)
+
+
+def opened(running, path="/images", **headers):
+    """Return a connection that asked for a WebSocket, and the answer's first line."""
+    link = socket.socket()
+    link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    link.settimeout(PATIENCE_S)
+    link.connect(("127.0.0.1", running.port))
+    named = {"Host": f"127.0.0.1:{running.port}", "Upgrade": "websocket",
+             "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
+             "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", **headers}
+    link.sendall("\r\n".join(
+        [f"GET {path} HTTP/1.1", *(f"{n}: {v}" for n, v in named.items()), "", ""]
+    ).encode())
+    file = link.makefile("rb")
+    first = file.readline().decode()
+    while (line := file.readline()) not in (b"\r\n", b""):
+        if line.lower().startswith(b"sec-websocket-accept"):   # RFC 6455, 1.3
+            assert line.split()[1] == b"s3pPLMBiTxaQ9kYGzzhZRbK+xOo="
+    return link, file, first
+
+
+def sent(link, data, kind=1):
+    mask = bytes((1, 2, 3, 4))
+    size = (bytes((0x80 | len(data),)) if len(data) < 126
+            else struct.pack(">BH", 0xFE, len(data)))
+    link.sendall(bytes((0x80 | kind,)) + size + mask + bytes(
+        byte ^ mask[i % 4] for i, byte in enumerate(data)))
+
+
+def message(file):
+    kind, size = file.read(2)
+    if size == 126:
+        size, = struct.unpack(">H", file.read(2))
+    elif size == 127:
+        size, = struct.unpack(">Q", file.read(8))
+    return kind & 15, file.read(size)
 
 
 def parted(body):
@@ -99,7 +138,8 @@ def test_the_page_and_its_files_are_there_and_name_no_other_address(served):
 
 
 def test_a_frame_holds_the_planes_and_values_of_its_image(served, recording):
-    told, found = frame(served, panes="sigma_aop,aop,s0", regions="2,1,4,3;0,0,1,1")
+    told, found = frame(served, panes=["sigma_aop", "aop", "s0"],
+                        regions=[[2, 1, 4, 3], [0, 0, 1, 1]])
     image = image_at(recording, told["t_us"])
     assert list(found) == ["sigma_aop", "aop", "s0", "dolp"]
     low, high = told["levels"]
@@ -131,10 +171,10 @@ def test_levels_that_are_asked_for_are_those_of_the_picture(served):
 def test_regions_are_in_pixels_of_the_sensor_whatever_is_shown(recording, options):
     whole = OPTIONS | {name: options[name] for name in options.keys() - {"roi"}}
     with serve(recording, port=0, **whole) as running:
-        expected = frame(running, regions="4,2,4,4")[0]["values"][0]
+        expected = frame(running, regions=[[4, 2, 4, 4]])[0]["values"][0]
         pixels = expected["pixels"]
     with serve(recording, port=0, **whole, roi=options["roi"]) as running:
-        told = frame(running, regions="4,2,4,4;1,2,4,4")[0]
+        told = frame(running, regions=[[4, 2, 4, 4], [1, 2, 4, 4]])[0]
     assert told["status"]["roi"] == list(options["roi"])
     assert pixels == 16 / told["status"]["step"]**2
     for name, value in expected.items():
@@ -153,10 +193,10 @@ def test_a_snapshot_holds_all_that_is_known_of_the_image(served, recording):
 
 
 def test_a_file_plays_seeks_and_steps(served, recording):
-    told, _ = frame(served, panes="aop")
+    told, _ = frame(served, panes=["aop"])
     number, first = told["number"], told["t_us"]
     assert command(served, "seek", 5)[1]["index"] == 5
-    told, pictures = frame(served, panes="aop", after=number)
+    told, pictures = frame(served, panes=["aop"], after=number)
     assert told["t_us"] == first + round(5 * 1e6 / 60)
     image = image_at(recording, told["t_us"])
     np.testing.assert_array_equal(
@@ -208,7 +248,7 @@ def test_a_live_source_is_shown_and_recorded(recording, tmp_path):
     source = ReplaySource(recording, "test", speed=1, loop=True)
     with Session(source, **OPTIONS) as session, serve(
             session, port=0, record_to=tmp_path) as running:
-        told, pictures = frame(running, panes="aop,events")
+        told, pictures = frame(running, panes=["aop", "events"])
         assert told["status"]["live"]
         assert pictures["events"].shape == (8, 12)
         told = command(running, "record", True)[1]
@@ -256,43 +296,6 @@ def test_the_stream_repeats_its_last_picture_where_none_comes(served, monkeypatc
 
 
 # ---- who is refused ----------------------------------------------------------------
-
-
-def opened(running, path="/images", **headers):
-    """Return a connection that asked for a WebSocket, and the answer's first line."""
-    link = socket.socket()
-    link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    link.settimeout(PATIENCE_S)
-    link.connect(("127.0.0.1", running.port))
-    named = {"Host": f"127.0.0.1:{running.port}", "Upgrade": "websocket",
-             "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
-             "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==", **headers}
-    link.sendall("\r\n".join(
-        [f"GET {path} HTTP/1.1", *(f"{n}: {v}" for n, v in named.items()), "", ""]
-    ).encode())
-    file = link.makefile("rb")
-    first = file.readline().decode()
-    while (line := file.readline()) not in (b"\r\n", b""):
-        if line.lower().startswith(b"sec-websocket-accept"):   # RFC 6455, 1.3
-            assert line.split()[1] == b"s3pPLMBiTxaQ9kYGzzhZRbK+xOo="
-    return link, file, first
-
-
-def sent(link, data, kind=1):
-    mask = bytes((1, 2, 3, 4))
-    size = (bytes((0x80 | len(data),)) if len(data) < 126
-            else struct.pack(">BH", 0xFE, len(data)))
-    link.sendall(bytes((0x80 | kind,)) + size + mask + bytes(
-        byte ^ mask[i % 4] for i, byte in enumerate(data)))
-
-
-def message(file):
-    kind, size = file.read(2)
-    if size == 126:
-        size, = struct.unpack(">H", file.read(2))
-    elif size == 127:
-        size, = struct.unpack(">Q", file.read(8))
-    return kind & 15, file.read(size)
 
 
 def test_a_socket_gives_an_image_for_each_message(served):
@@ -362,13 +365,12 @@ def test_a_silent_socket_is_closed(served, monkeypatch):
 
 @pytest.mark.parametrize(("path", "headers", "status"), [
     ("/", {"Host": "evil.example"}, 403), ("/", {"Host": "evil.example:8346"}, 403),
-    ("/frame", {"Origin": "http://evil.example"}, 403),
+    ("/status", {"Origin": "http://evil.example"}, 403),
     ("/stream.mjpg", {"Sec_Fetch_Site": "cross-site"}, 403),
-    ("/frame", {"Sec_Fetch_Site": "same-origin"}, 200),
+    ("/status", {"Sec_Fetch_Site": "same-origin"}, 200),
     ("/../pyproject.toml", {}, 404), ("/%2e%2e/%2e%2e/etc/passwd", {}, 404),
-    ("/page.html", {}, 404), ("/frame?after=x", {}, 400), ("/frame?panes=no", {}, 400),
-    ("/frame?regions=1,2", {}, 400), ("/stream.mjpg?output=no", {}, 400),
-    ("/frame?panes=" + ",".join(["s0"] * 99), {}, 400)])
+    ("/page.html", {}, 404), ("/stream.mjpg?output=no", {}, 400),
+    ("/images", {}, 400)])
 def test_strangers_and_nonsense_are_refused(served, path, headers, status):
     got, body = ask(served, path, **headers)
     assert got == status, body
@@ -426,7 +428,7 @@ def test_other_machines_need_the_token(recording):
         assert ask(running, "/status?token=wrong")[0] == 403
         assert ask(running, f"/status?token={token}")[0] == 200
         assert ask(running, "/status", Authorization=f"Bearer {token}")[0] == 200
-        assert ask(running, f"/frame?token={token}", Origin="http://evil")[0] == 403
+        assert ask(running, f"/status?token={token}", Origin="http://evil")[0] == 403
 
 
 def test_a_request_a_byte_at_a_time_ends_at_its_deadline(served, monkeypatch):

@@ -188,7 +188,6 @@ def http(make):
     bodies = (b'{"do": "seek", "value": 1}', b'{"do": "roi", "value": [2, 2, 8, 6]}',
               b'{"do": "method", "value": "cf"}', b'{"do": "speed", "value": 2.5}')
     return [b"GET /status?palettes" + host + b"\r\n", b"GET /" + host + b"\r\n",
-            b"GET /frame?panes=aop,s0&after=0&region=1,2,5,4" + host + b"\r\n",
             b"GET /snapshot.npz?token=abc" + host + b"Origin: http://localhost\r\n\r\n",
             *(json % (len(body), body) for body in bodies), *sockets(host)]
 

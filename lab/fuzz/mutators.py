@@ -477,12 +477,10 @@ _HEADERS = (b"Host: evil.example", b"Host:", b"Host: [::1", b"Origin: null",
             b"Sec-Fetch-Site: cross-site", b"X" * 70_000,
             b"Connection: keep-alive", b"Content-Type: application/json; charset=x",
             b" folded", b"\x00: \x00")
-_PATHS = (b"/../../etc/passwd", b"/stream.mjpg?output=aop_bgr", b"/frame?panes=" +
-          b"s0," * 50, b"/frame?after=-1", b"/frame?regions=0,0,0,0", b"//", b"*",
-          b"/frame?panes=values&regions=1,1,1,99999", b"http://[::1/", b"/%00",
-          b"?" * 9,
-          b"/frame?panes=events,dolp,aop,s0", b"/status?palettes&palettes=1",
-          b"/snapshot.npz", b"/" + b"a" * 70_000, b"/frame?after=1e9", b"/page.js")
+_PATHS = (b"/../../etc/passwd", b"/stream.mjpg?output=aop_bgr", b"//", b"*",
+          b"http://[::1/", b"/%00", b"?" * 9, b"/images",
+          b"/status?palettes&palettes=1", b"/snapshot.npz", b"/" + b"a" * 70_000,
+          b"/page.js")
 _VALUES = (b"1", b"-1", b"1e400", b"NaN", b"null", b"true", b"[]", b'[0,0,16,12]',
            b"[0,0,-2,4]", b'"frames"', b'"cf"', b'"\\ud800"', b"[" * 3000, b"{}",
            b"9" * 5000, b'{"a":1}', b"[1e308,1,2,3]", b"0.0001", b"1000")

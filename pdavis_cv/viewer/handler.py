@@ -157,8 +157,7 @@ class Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         """Answer a GET."""
         self._answer({path: self._file for path in _FILES} | {
-            "/frame": self._frame, "/images": self._images_asked,
-            "/status": self._status,
+            "/images": self._images_asked, "/status": self._status,
             "/snapshot.npz": self._snapshot, "/stream.mjpg": self._stream})
 
     def do_POST(self) -> None:
@@ -239,19 +238,6 @@ class Handler(BaseHTTPRequestHandler):
         if image is None:
             raise _Refused(503, "there is no image yet")
         self._send(archive(image), "application/octet-stream")
-
-    def _frame(self) -> None:
-        """Send the next image."""
-        asked = _Asked.of({
-            "panes": [name for name in self.query.get("panes", "").split(",") if name],
-            "after": _whole("after", self.query.get("after", "0")),
-            "regions": [[_whole("regions", part) for part in region.split(",")]
-                        for region in self.query.get("regions", "").split(";")
-                        if region]})
-        with self._place():
-            number, image = self._site.show.latest(asked.after, POLL_S)
-            self._send(b"".join(self._parts(asked, number, image)),
-                       "application/octet-stream")
 
     def _images_asked(self) -> None:
         """Send an image for each request over a WebSocket, until the page is gone."""
@@ -367,8 +353,15 @@ class Handler(BaseHTTPRequestHandler):
             if last is not None:
                 yield number, last
 
-    def _place(self) -> _Place:
-        return _Place(self._site)
+    @contextlib.contextmanager
+    def _place(self) -> Iterator[None]:
+        """Take one of the places for clients that get pictures."""
+        if not self._site.clients.acquire(blocking=False):
+            raise _Refused(503, "as many clients as there may be are being served")
+        try:
+            yield
+        finally:
+            self._site.clients.release()
 
     def _command(self) -> None:
         kind = self.headers.get("Content-Type", "").partition(";")[0]
@@ -387,20 +380,6 @@ class Handler(BaseHTTPRequestHandler):
             raise ValueError('the body must be {"do": name, "value": ...}')
         self._site.show.command(asked["do"], asked.get("value"))
         self._status()
-
-
-class _Place:
-    """Context manager that takes one of the places for clients that get pictures."""
-
-    def __init__(self, site: Site) -> None:
-        self._site = site
-
-    def __enter__(self) -> None:
-        if not self._site.clients.acquire(blocking=False):
-            raise _Refused(503, "as many clients as there may be are being served")
-
-    def __exit__(self, *exc: object) -> None:
-        self._site.clients.release()
 
 
 @dataclass(frozen=True)
@@ -464,9 +443,3 @@ def _integer(name: str, value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or abs(value) > MOST_WHOLE:
         raise ValueError(f"{name} must be integer, got {str(value)[:40]!r}")
     return value
-
-
-def _whole(name: str, text: str) -> int:
-    if not text.lstrip("-").isdigit() or len(text) > len(str(MOST_WHOLE)):
-        raise ValueError(f"{name} must be integer, got {text[:40]!r}")
-    return int(text)
