@@ -271,7 +271,7 @@ def test_the_size_comes_from_the_header_or_the_events(tmp_path, header, size):
     (b"% evt 3.0\n% endianness big\n% end\n", "endianness big are not read"),
     (b"Event Stream\2\0\0\4", "2.0.0 with colour events is not read"),
     (b"Event Stream\1\0\0\1", "1.0.0 with DVS events is not read: version 2"),
-    (b"Event Stream\2\0\0\1\0\0\0\0", "a sensor of 0x0 pixels"),
+    (b"Event Stream\2\0\0\1\0\0\0\0", "sensor sides must lie in 1..8192, got 0x0"),
     (b"% evt 3.0\n% geometry 0x9\n% end\n", r"must lie in 1\.\.8192.* 0x9"),
     (b"% Data file containing CD events\n\x0e\x08", "DAT 2 with events of type 14"),
     (b"% Data file containing CD events\n", "of type 0 and 0 bytes is not read"),

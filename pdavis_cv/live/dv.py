@@ -39,8 +39,8 @@ from pdavis_cv.recording.aedat4.flatbuffer import (
     PayloadError,
     root_table,
 )
-from pdavis_cv.recording.aedat4.reader import MAX_SIDE
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
+from pdavis_cv.recording.options import MAX_SIDE
 from pdavis_cv.recording.timeline import NEVER
 from pdavis_cv.sensor import Layout, Sensor
 

@@ -19,14 +19,13 @@ from pdavis_cv.recording.base import (
     IMU_DTYPE,
     TRIGGER_DTYPE,
     ApsFrame,
-    Packet,
     RecordingInfo,
 )
-from pdavis_cv.recording.facts import ASSUMED, CALLER, Fact, stated
-from pdavis_cv.recording.files import FileRecording
+from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.options import SourceOptions
-from pdavis_cv.recording.packetise import Batch, cell_start, packetise
-from pdavis_cv.recording.sequential import likely_size
+from pdavis_cv.recording.packetise import Batch, cell_start
+from pdavis_cv.recording.scratch import Scratch
+from pdavis_cv.recording.sequential import PiecewiseRecording
 from pdavis_cv.recording.timeline import (
     LOOK_AHEAD,
     NEVER,
@@ -42,7 +41,6 @@ from pdavis_cv.sensor import Sensor
 __all__ = ["Aedat3Recording"]
 
 MAX_PACKET = 64 << 20
-MAX_SIDE = 8192
 HULL_BYTES = 16 << 20
 """Bytes of events from which the size of an unknown sensor is assumed."""
 _BEGINNINGS = 4
@@ -74,7 +72,7 @@ HORIZON_US = 500_000
 """Longest time by which packets of different kinds may be out of order."""
 
 
-class Aedat3Recording(FileRecording):
+class Aedat3Recording(PiecewiseRecording):
     """A recording in AEDAT-3.1; see `open_recording`.
 
     The format has no index: the first reading makes one, for those that follow.
@@ -101,17 +99,9 @@ class Aedat3Recording(FileRecording):
                        if name.startswith("Source")), "")
         self._check_camera(options.camera, source)
         name = source.lower()
-        size: Any = next((s for chip, s in CHIP_SIZES.items() if name.startswith(chip)),
-                         None) or self._frame_size()
-        if size is None and options.size is not None:
-            size = Fact(options.size, CALLER)
-        elif size is None:
-            height, width = self._hull()
-            self._log.add(
-                "unknown chip", None, f"the header names {source or 'no chip'}: size "
-                f"assumed: {width}x{height} holds the first events; "
-                "sensor_size=(height, width) sets another")
-            size = Fact((height, width), ASSUMED)
+        size = self._sensor_size(next((
+            size for chip, size in CHIP_SIZES.items() if name.startswith(chip)),
+            None) or self._frame_size(), self._farthest)
         has_frames = self._has_frames()
         return RecordingInfo(
             format="AEDAT-3.1", writer="cAER", camera=source or None, **stated(
@@ -143,8 +133,8 @@ class Aedat3Recording(FileRecording):
                     return height, width
         return None
 
-    def _hull(self) -> tuple[int, int]:
-        """Return the smallest usual size that holds the first events."""
+    def _farthest(self) -> tuple[int, int]:
+        """Return the largest x and y of the first events."""
         x = y = 0
         for at, kind, _, _, data in self._raw(self._start, quiet=True):
             if at > self._start + HULL_BYTES:
@@ -154,7 +144,7 @@ class Aedat3Recording(FileRecording):
                 word = word[(word & 1).astype(bool)]
                 x = max(x, int((word >> 17).max(initial=0)))
                 y = max(y, int((word >> 2 & 0x7FFF).max(initial=0)))
-        return likely_size(min(x, MAX_SIDE - 1), min(y, MAX_SIDE - 1))
+        return x, y
 
     def _raw(
         self, at: int, *, quiet: bool = False
@@ -244,13 +234,9 @@ class Aedat3Recording(FileRecording):
 
     # Reading -------------------------------------------------------------------
 
-    def packets(
-        self, start_us: int | None = None, stop_us: int | None = None
-    ) -> Iterator[Packet]:
-        """Iterate over the samples with start_us <= time < stop_us, in time order."""
-        return packetise(self._batches(start_us), start_us, stop_us)
-
-    def _batches(self, start_us: int | None) -> Iterator[Batch]:
+    def _pieces(self, start_us: int | None, memory: Scratch, *, frames: bool = True
+                ) -> Iterator[tuple[Batch, float]]:
+        """Yield the samples of each packet, and the share of the file read by then."""
         timeline = Timeline()
         clocks = [Clock(timeline) for _ in range(4)]
         begin, last_mid, promised = self._start, NEVER, NEVER
@@ -303,7 +289,7 @@ class Aedat3Recording(FileRecording):
             # Packets of different kinds are not in time order relative to each other.
             newest = max(clock.last for clock in clocks)
             promised = batch.complete_us = max(promised, newest - HORIZON_US)
-            yield batch
+            yield batch, at / self._reader.size
 
     def _decoded(self, begin: int) -> Iterator[Decoded]:
         """Yield (byte, kind, samples or frames, times) of each packet from begin on."""

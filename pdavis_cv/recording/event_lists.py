@@ -14,7 +14,7 @@ from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.base import RecordingInfo
-from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, Fact, stated
+from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.numpy_files import (
     MOST_RATIO,
@@ -22,11 +22,10 @@ from pdavis_cv.recording.numpy_files import (
     stored_arrays,
     unpacked,
 )
-from pdavis_cv.recording.options import SourceOptions
+from pdavis_cv.recording.options import MAX_SIDE, SourceOptions
 from pdavis_cv.recording.scratch import Scratch
-from pdavis_cv.recording.sequential import SequentialRecording, likely_size
+from pdavis_cv.recording.sequential import SequentialRecording
 from pdavis_cv.recording.text_form import (
-    MAX_SIDE,
     NAMES,
     NANOSECONDS_FROM,
     UNITS,
@@ -56,22 +55,10 @@ class _EventList(SequentialRecording):
                header: Mapping[str, Any], of_file: tuple[int, int] | None = None
                ) -> RecordingInfo:
         """Return the facts; without a size, the first events determine it."""
-        size, origin = options.size, CALLER
-        if of_file is not None:
-            size, origin = of_file, FILE
-        if size is None:
-            size, origin = likely_size(*self._farthest()), ASSUMED
-            self._log.add("unknown size", None, "the file does not give the sensor's "
-                          f"size: {size[1]}x{size[0]} holds the first events; "
-                          "sensor_size=(height, width) sets another")
-        height, width = size
-        if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
-            raise RecordingError(
-                f"{self._path}: sensor sides must lie in 1..{MAX_SIDE}, got "
-                f"{width}x{height}")
         return RecordingInfo(
             format=kind, frame_count=0, imu_count=0, trigger_count=0, header=header,
-            **stated(options, self._copied, sensor_size=Fact((height, width), origin)))
+            **stated(options, self._copied, sensor_size=self._sensor_size(
+                of_file, self._farthest)))
 
     @abstractmethod
     def _farthest(self) -> tuple[int, int]:

@@ -53,14 +53,11 @@ class EventStreamRecording(SequentialRecording):
                 f"{'.'.join(map(str, version))} with {what} is not read: version 2 "
                 "with DVS or ATIS events is")
         width, height = np.frombuffer(head, "<u2", 2, 16).tolist()
-        if not width or not height:
-            raise RecordingError(
-                f"{self._path}: byte 16: a sensor of {width}x{height} pixels")
         self._begin, self._end = _HEADER, self._reader.size
         self._atis = kind == ATIS
         return RecordingInfo(
             format=f"Event Stream ({_KINDS[kind].partition(' ')[0]})",
-            **stated(options, sensor_size=(height, width)),
+            **stated(options, sensor_size=self._sensor_size((height, width))),
             frame_count=0, imu_count=0, trigger_count=0, header={
                 "first_row": "bottom", "version": ".".join(map(str, version))})
 

@@ -18,14 +18,17 @@ from pdavis_cv import _kernels
 from pdavis_cv._remote import RemotePath, as_path
 from pdavis_cv.errors import DamagedFileWarning, PdavisWarning, RecordingError
 from pdavis_cv.recording.base import Problem, Recording, RecordingInfo
+from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, Fact
 from pdavis_cv.recording.file_reader import FileReader, RemoteReader
-from pdavis_cv.recording.options import SourceOptions
+from pdavis_cv.recording.options import MAX_SIDE, SourceOptions
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.timeline import BACKWARD, FILLED, OFFSET, OUTSIDE, Clock
 
 __all__ = ["FileRecording", "ProblemLog", "clock_text"]
 
 _NOTHING_STATED = SourceOptions()
+_SIZES = ((260, 346), (480, 640), (720, 1280))
+"""(height, width) of usual sensors, for files without a sensor size."""
 
 
 class ProblemLog:
@@ -116,6 +119,7 @@ class FileRecording(Recording):
         self._strict = options.bad_events == "raise"
         self._log = ProblemLog(str(path))
         self._closing = ExitStack()
+        self._closed = False
         try:
             self._info = self._open(options)
         except BaseException:
@@ -137,6 +141,44 @@ class FileRecording(Recording):
         if camera is not None and camera.lower() not in (name or "").lower():
             raise RecordingError(
                 f"{self._path}: no camera named {camera!r}: it is {name}")
+
+    def _sensor_size(
+        self, of_file: Fact | tuple[int, int] | None,
+        farthest: Callable[[], tuple[int, int]] | None = None,
+    ) -> Fact:
+        """Return (height, width) as the file or the caller states it, or assumed.
+
+        Parameters
+        ----------
+        of_file : Fact or (int, int), optional
+            As the file states it.
+        farthest : callable, optional
+            Returns the largest x and y of the first events: the smallest usual sensor
+            that holds them is assumed.
+
+        Raises
+        ------
+        RecordingError
+            If it is not known, or no sensor has this size.
+        """
+        if of_file is None and self._options.size is not None:
+            of_file = Fact(self._options.size, CALLER)
+        if of_file is None and farthest is not None:
+            x, y = (min(max(int(most), 0), MAX_SIDE - 1) for most in farthest())
+            size = next(((h, w) for h, w in _SIZES if y < h and x < w), (y + 1, x + 1))
+            self._log.add("unknown size", None, "the file does not give the sensor's "
+                          f"size: {size[1]}x{size[0]} holds the first events; "
+                          "sensor_size=(height, width) sets another")
+            of_file = Fact(size, ASSUMED)
+        if of_file is None:
+            raise RecordingError(
+                f"{self._path}: the header does not give the sensor's size")
+        fact = of_file if isinstance(of_file, Fact) else Fact(of_file, FILE)
+        height, width = fact.value
+        if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
+            raise RecordingError(f"{self._path}: sensor sides must lie in 1..{MAX_SIDE}"
+                                 f", got {width}x{height}")
+        return fact
 
     def _bytes(self) -> FileReader:
         """Return the file's bytes, which `close` releases."""
@@ -259,6 +301,7 @@ class FileRecording(Recording):
 
     def close(self) -> None:
         """Release the file."""
+        self._closed = True
         self._closing.close()
 
     def __reduce__(self) -> tuple[Any, ...]:

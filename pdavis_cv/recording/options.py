@@ -14,10 +14,12 @@ from pdavis_cv._checks import checked_rate, sensor_shape, whole_number
 from pdavis_cv._options import Options, documented, option
 from pdavis_cv.sensor import SENSORS, Layout, Sensor
 
-__all__ = ["MOST_DN", "SourceKeywords", "SourceOptions", "source_part"]
+__all__ = ["MAX_SIDE", "MOST_DN", "SourceKeywords", "SourceOptions", "source_part"]
 
 MOST_DN = 2**32
 """Largest full scale that is accepted; converters have 8 to 16 bits."""
+MAX_SIDE = 8192
+"""Longest side of a sensor that is accepted, pixels."""
 _MOST_US = 10**9
 _BAD_EVENTS = ("drop", "raise")
 

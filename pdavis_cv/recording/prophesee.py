@@ -15,17 +15,16 @@ from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import TRIGGER_DTYPE, RecordingInfo
-from pdavis_cv.recording.facts import ASSUMED, CALLER, Fact, stated
+from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.scratch import Scratch
-from pdavis_cv.recording.sequential import SequentialRecording, likely_size
+from pdavis_cv.recording.sequential import SequentialRecording
 from pdavis_cv.recording.timeline import FILLED, OFFSET, Clock, Timeline
 
 __all__ = ["EVT2", "EVT3", "FALLING", "RISING", "PropheseeRecording",
            "WordStream", "is_prophesee", "ordered_triggers"]
 
 MAX_HEADER = 1 << 16
-MAX_SIDE = 8192
 CHUNK = 1 << 18
 """Bytes that are decoded at a time."""
 _CHIPS = (("320", (320, 320)), ("imx636", (720, 1280)), ("gen4", (720, 1280)),
@@ -202,14 +201,7 @@ class PropheseeRecording(SequentialRecording):
         self._high_first = self._version == EVT21 and {
             "little": False, "legacy": True}.get(_endianness(facts), _upper_first(
                 self._words(self._begin, Scratch()).reshape(-1, 2)))
-        size: Any = self._sensor_size(facts)
-        if size is None and options.size is not None:
-            size = Fact(options.size, CALLER)
-        elif size is None:
-            size = self._hull()
-            self._log.add("unknown size", None, "the header does not give the sensor's "
-                          f"size: {size[1]}x{size[0]} holds the first events")
-            size = Fact(size, ASSUMED)
+        size = self._sensor_size(_stated_size(facts), self._farthest)
         return RecordingInfo(
             format=_NAMES[self._version],
             writer=facts.get("generator", "Prophesee"), camera=name, serial=serial,
@@ -271,35 +263,15 @@ class PropheseeRecording(SequentialRecording):
                 "not read, little and legacy are")
         return version
 
-    def _sensor_size(self, facts: dict[str, str]) -> tuple[int, int] | None:
-        options = dict(part.split("=", 1) for part in facts.get(
-            "format", "").split(";")[1:] if "=" in part)
-        width, _, height = facts.get("geometry", "").partition("x")
-        for high, wide in ((options.get("height"), options.get("width")),
-                           (height, width), (facts.get("Height"), facts.get("Width")),
-                           (facts.get("height"), facts.get("width"))):
-            sides = [(side or "").strip() for side in (high, wide)]
-            if not all(side.isdecimal() and len(side) < 10 for side in sides):
-                continue
-            size = int(sides[0]), int(sides[1])
-            if not (0 < size[0] <= MAX_SIDE and 0 < size[1] <= MAX_SIDE):
-                raise RecordingError(
-                    f"{self._path}: sensor sides must lie in 1..{MAX_SIDE}, the header "
-                    f"says {size[1]}x{size[0]}")
-            return size
-        names = " ".join(facts.get(key, "") for key in (
-            "plugin_name", "sensor_generation", "sensor_name")).lower()
-        return next((size for part, size in _CHIPS if part in names), None)
-
-    def _hull(self) -> tuple[int, int]:
-        """Return a sensor size that holds the first events."""
+    def _farthest(self) -> tuple[int, int]:
+        """Return the largest x and y of the first events."""
         words = self._words(self._begin, Scratch())
         if self._version == DAT:
             x, y, _ = self._places(words.reshape(-1, 2)[:, 1])
         else:
             events = self._stream((2048, 2048)).events(words, Clock(Timeline()))
             x, y = events["x"], events["y"]
-        return likely_size(int(x.max(initial=0)), int(y.max(initial=0)))
+        return int(x.max(initial=0)), int(y.max(initial=0))
 
     def _places(self, word: NDArray[np.unsignedinteger]
                 ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -352,6 +324,22 @@ class PropheseeRecording(SequentialRecording):
         self._count(at, "late triggers", late, "triggers were dropped because time ran "
                     "backward")
         return triggers
+
+
+def _stated_size(facts: dict[str, str]) -> tuple[int, int] | None:
+    """Return (height, width) as the header states it, or by its chip."""
+    options = dict(part.split("=", 1) for part in facts.get(
+        "format", "").split(";")[1:] if "=" in part)
+    width, _, height = facts.get("geometry", "").partition("x")
+    for high, wide in ((options.get("height"), options.get("width")),
+                       (height, width), (facts.get("Height"), facts.get("Width")),
+                       (facts.get("height"), facts.get("width"))):
+        sides = [(side or "").strip() for side in (high, wide)]
+        if all(side.isdecimal() and len(side) < 10 for side in sides):
+            return int(sides[0]), int(sides[1])
+    names = " ".join(facts.get(key, "") for key in (
+        "plugin_name", "sensor_generation", "sensor_name")).lower()
+    return next((size for part, size in _CHIPS if part in names), None)
 
 
 def _endianness(facts: dict[str, str]) -> str:

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
-from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
+from pdavis_cv.recording.base import ApsFrame, RecordingInfo
 from pdavis_cv.recording.event_packets import ENCODINGS, trigger
 from pdavis_cv.recording.facts import stated
-from pdavis_cv.recording.files import FileRecording
-from pdavis_cv.recording.options import SourceOptions
-from pdavis_cv.recording.packetise import Batch, packetise
+from pdavis_cv.recording.options import MAX_SIDE, SourceOptions
+from pdavis_cv.recording.packetise import Batch
 from pdavis_cv.recording.prophesee import WordStream, ordered_triggers
-from pdavis_cv.recording.scratch import Gathering, Scratch
+from pdavis_cv.recording.scratch import Scratch
+from pdavis_cv.recording.sequential import PiecewiseRecording
 from pdavis_cv.recording.timeline import (
     LAST,
     LOOK_AHEAD,
@@ -40,7 +40,6 @@ __all__ = ["RosRecording"]
 
 HORIZON_US = 500_000
 """Longest time by which events and images of a bag may be out of order."""
-MAX_SIDE = 8192
 SIZES = 9
 """Number of messages whose most frequent size is taken as that of the sensor."""
 MAX_MESSAGE = 1 << 28
@@ -142,7 +141,7 @@ class _Message:
         return found
 
 
-class RosRecording(FileRecording):
+class RosRecording(PiecewiseRecording):
     """A recording in a ROS bag; see `open_recording`.
 
     Events of ``EventArray`` in dvs_msgs, prophesee_event_msgs and dv_ros_msgs, and of
@@ -166,13 +165,11 @@ class RosRecording(FileRecording):
                 "ROS bags need a package: pip install rosbags") from None
         self._cdr = self._is_ros2()
         self._kind: Any = (rosbag2 if self._cdr else rosbag1).Reader
-        self._closed = False
-        self._closing.callback(setattr, self, "_closed", True)
         try:
             with self._kind(self._path) as bag:
                 self._encodings = self._found_encodings(bag, options.camera)
                 self._topics = self._choose(bag.connections, options.camera)
-                size = self._sensor_size(bag)
+                size = self._size_of(bag)
                 self._message_count = sum(
                     c.msgcount for c in bag.connections
                     if (c.topic, c.msgtype) in self._topics)
@@ -277,7 +274,7 @@ class RosRecording(FileRecording):
             for connection, _, data in messages:
                 yield connection.topic, connection.msgtype, data
 
-    def _sensor_size(self, bag: Any) -> tuple[int, int]:
+    def _size_of(self, bag: Any) -> tuple[int, int]:
         """Return the most frequent sensor size of the first messages.
 
         That of events counts, as another camera may have taken the images.
@@ -303,29 +300,9 @@ class RosRecording(FileRecording):
                 else f"{self._path}: the first messages give no size of the sensor")
         return max(best, key=best.count)
 
-    def packets(
-        self, start_us: int | None = None, stop_us: int | None = None
-    ) -> Iterator[Packet]:
-        """Iterate over the samples with start_us <= time < stop_us, in time order."""
-        if self._closed:
-            raise ValueError(f"{self._path.name}: recording is closed")
-        return packetise(self._batches(Scratch()), start_us, stop_us)
-
-    def events(
-        self, start_us: int | None = None, stop_us: int | None = None
-    ) -> NDArray[Any]:
-        """Return the events of start_us <= time < stop_us as one array."""
-        if self._closed:
-            raise ValueError(f"{self._path.name}: recording is closed")
-        memory = Gathering(start_us, stop_us)
-        for done, batch in enumerate(self._batches(memory), 1):
-            if batch.events is not None and memory.keep(batch.events):
-                break
-            if start_us is stop_us is None:
-                memory.expect(done / max(self._message_count, done))
-        return memory.events
-
-    def _batches(self, memory: Scratch) -> Iterator[Batch]:
+    def _pieces(self, start_us: int | None, memory: Scratch, *, frames: bool = True
+                ) -> Iterator[tuple[Batch, float]]:
+        """Yield the samples of each message, and the share of the bag read by then."""
         timeline = Timeline()
         clocks = {name: Clock(timeline) for name in ("events", "frames", "triggers")}
         words = WordStream(3, self._info.sensor_size)
@@ -365,7 +342,7 @@ class RosRecording(FileRecording):
             newest = max(clock.last for clock in clocks.values())
             promised = batch.complete_us = max(promised, newest - (
                 HORIZON_US if both else 0))
-            yield batch
+            yield batch, (number + 1) / max(self._message_count, number + 1)
 
     def _messages(self) -> Iterator[tuple[str, str, bytes]]:
         """Yield (topic, type, data) up to the end or the first unreadable part.
@@ -381,8 +358,7 @@ class RosRecording(FileRecording):
                 self._lost(error)
                 return
             while ahead is not None:
-                if self._closed:
-                    raise ValueError(f"{self._path.name}: recording is closed")
+                self._check_open()
                 yield ahead
                 try:
                     ahead = next(messages, None)

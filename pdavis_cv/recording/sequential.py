@@ -1,4 +1,4 @@
-"""Base of formats without an index, which can only be read from the beginning."""
+"""Bases of readers that go piece by piece, and of formats without an index."""
 from __future__ import annotations
 
 from abc import abstractmethod
@@ -13,26 +13,57 @@ from pdavis_cv.recording.packetise import Batch, cell_start, packetise
 from pdavis_cv.recording.scratch import Gathering, Scratch
 from pdavis_cv.recording.timeline import Clock, Marks, Timeline
 
-__all__ = ["SequentialRecording", "likely_size"]
+__all__ = ["PiecewiseRecording", "SequentialRecording"]
 
 MARK_PLACES = 1 << 20
 """Smallest distance of two positions where reading can resume, bytes or rows."""
-_SIZES = ((260, 346), (480, 640), (720, 1280))
-"""(height, width) of usual sensors, for files without a sensor size."""
 
 
-def likely_size(x: int, y: int) -> tuple[int, int]:
-    """Return the (height, width) of the smallest usual sensor that holds a pixel.
+class PiecewiseRecording(FileRecording):
+    """A file that is read in pieces; a format implements `_pieces`."""
 
-    Parameters
-    ----------
-    x, y : int
-        Largest column and row of the events.
-    """
-    return next(((h, w) for h, w in _SIZES if y < h and x < w), (y + 1, x + 1))
+    @abstractmethod
+    def _pieces(self, start_us: int | None, memory: Scratch, *, frames: bool = True
+                ) -> Iterator[tuple[Batch, float]]:
+        """Yield the samples of each piece, and the share of the file read by then.
+
+        Parameters
+        ----------
+        start_us : int or None
+            Samples from ``cell_start(start_us)`` on are needed; None: all.
+        memory : Scratch
+            Provides memory for the events.
+        frames : bool
+            False: only events are needed.
+        """
+
+    def packets(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> Iterator[Packet]:
+        """Iterate over the samples with start_us <= time < stop_us, in time order."""
+        self._check_open()
+        batches = (batch for batch, _ in self._pieces(start_us, Scratch()))
+        return packetise(batches, start_us, stop_us)
+
+    def events(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> NDArray[Any]:
+        """Return the events of start_us <= time < stop_us as one array."""
+        self._check_open()
+        memory = Gathering(start_us, stop_us)
+        for batch, share in self._pieces(start_us, memory, frames=False):
+            if batch.events is not None and memory.keep(batch.events):
+                break
+            if start_us is stop_us is None and share > 0:
+                memory.expect(share)
+        return memory.events
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise ValueError(f"{self._path.name}: recording is closed")
 
 
-class SequentialRecording(FileRecording):
+class SequentialRecording(PiecewiseRecording):
     """A file of events that is read in chunks; the first reading makes an index.
 
     A format sets `_begin` and `_end`, the positions of the first chunk and of the end
@@ -83,28 +114,9 @@ class SequentialRecording(FileRecording):
         """
         return None
 
-    def packets(
-        self, start_us: int | None = None, stop_us: int | None = None
-    ) -> Iterator[Packet]:
-        """Iterate over the samples with start_us <= time < stop_us, in time order."""
-        batches = (batch for batch, _ in self._pieces(start_us, Scratch()))
-        return packetise(batches, start_us, stop_us)
-
-    def events(
-        self, start_us: int | None = None, stop_us: int | None = None
-    ) -> NDArray[Any]:
-        """Return the events of start_us <= time < stop_us as one array."""
-        memory = Gathering(start_us, stop_us)
-        for batch, after in self._pieces(start_us, memory):
-            if batch.events is not None and memory.keep(batch.events):
-                break
-            if start_us is stop_us is None:
-                memory.expect((after - self._begin) / (self._end - self._begin))
-        return memory.events
-
-    def _pieces(self, start_us: int | None, memory: Scratch
-                ) -> Iterator[tuple[Batch, int]]:
-        """Yield the samples of each chunk, and the next position."""
+    def _pieces(self, start_us: int | None, memory: Scratch, *, frames: bool = True
+                ) -> Iterator[tuple[Batch, float]]:
+        """Yield the samples of each chunk, and the share of the file read by then."""
         at, clock, state = self._begin, Clock(Timeline()), self._first()
         if start_us is not None:
             mark = self._marks.before(cell_start(start_us))
@@ -117,7 +129,8 @@ class SequentialRecording(FileRecording):
             if after == at:
                 return
             yield Batch(events, triggers=self._triggers(at, state, before),
-                        complete_us=clock.last), after
+                        complete_us=clock.last), (
+                after - self._begin) / (self._end - self._begin)
             at = after
 
     @property

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from pdavis_cv.errors import RecordingError
+from pdavis_cv.recording.options import MAX_SIDE
 
 __all__ = ["PNM", "UNITS", "TextForm", "is_text_events", "text_form", "unit_of_times"]
 
@@ -26,7 +27,6 @@ ENOUGH = 20
 """Number of lines from which their mean interval is used."""
 PNM = re.compile(rb"P[1-7]\s")
 """Beginning of an image that may be text."""
-MAX_SIDE = 8192
 MOST_COLUMNS = 16
 
 NAMES = {"t": "t", "ts": "t", "timestamp": "t", "timestamps": "t", "time": "t",

@@ -28,7 +28,6 @@ from pdavis_cv.sensor import Layout, Sensor
 __all__ = ["Aedat4Recording"]
 
 KINDS = ("EVTS", "FRME", "IMUS", "TRIG")
-MAX_SIDE = 8192
 FRAMES_UNDER_WAY = 3
 MARK_PULLS = 64
 """The index gives a frame's timestamp; its readout ends within this time of it."""
@@ -52,7 +51,7 @@ class Aedat4Recording(FileRecording):
         self._marks = Marks(MARK_PULLS)
         self._jaer = any(s.attributes.get("originalModuleName") == "jAER"
                          for s in self._streams.values())
-        self._size = self._sensor_size()
+        self._size: tuple[int, int] = self._sensor_size(self._stated_size()).value
         self._scale = self._frame_scale()
         return self._make_info(options)
 
@@ -87,22 +86,17 @@ class Aedat4Recording(FileRecording):
             raise RecordingError(f"{self.path}: it holds neither events nor frames")
         return chosen
 
-    def _sensor_size(self) -> tuple[int, int]:
+    def _stated_size(self) -> tuple[int, int] | None:
         for kind in ("EVTS", "FRME"):
             stream = self._streams.get(kind)
             if stream is None:
                 continue
             try:
-                width = int(stream.attributes["sizeX"])
-                height = int(stream.attributes["sizeY"])
+                return (int(stream.attributes["sizeY"]),
+                        int(stream.attributes["sizeX"]))
             except (KeyError, ValueError):
                 continue
-            if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
-                raise RecordingError(
-                    f"{self.path}: sensor sides must lie in 1..{MAX_SIDE}, the header "
-                    f"says {width}x{height}")
-            return height, width
-        raise RecordingError(f"{self.path}: the header does not give the sensor's size")
+        return None
 
     def _frame_scale(self) -> samples.FrameScale | None:
         """Return the scale of frames from the first one; it is that of the file."""

@@ -24,17 +24,16 @@ from pdavis_cv.recording.base import (
     IMU_DTYPE,
     TRIGGER_DTYPE,
     ApsFrame,
-    Packet,
     RecordingInfo,
     joined,
 )
-from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, Fact, stated
-from pdavis_cv.recording.files import FileRecording
+from pdavis_cv.recording.facts import ASSUMED, FILE, Fact, stated
 from pdavis_cv.recording.hdf5.separate import SeparateImages
 from pdavis_cv.recording.options import SourceOptions
-from pdavis_cv.recording.packetise import Batch, cell_start, packetise
+from pdavis_cv.recording.packetise import Batch, cell_start
 from pdavis_cv.recording.prophesee import ordered_triggers
-from pdavis_cv.recording.scratch import Gathering, Scratch
+from pdavis_cv.recording.scratch import Scratch
+from pdavis_cv.recording.sequential import PiecewiseRecording
 from pdavis_cv.recording.timeline import NEVER, Clock, Timeline
 from pdavis_cv.sensor import Layout, Sensor
 
@@ -42,13 +41,16 @@ __all__ = ["Hdf5Recording", "h5py_module"]
 
 CHUNK = 1 << 16
 LEAST_PIECE = 256
-MAX_SIDE = 8192
 MAX_CHUNK = 256 << 20
 MOST_RATIO = 1100
 """Deflate compresses at most 1032 to 1; a file that claims more is damaged."""
 MAX_EXPOSURE_US = 60_000_000
 ECF = 0x8ECF
 """Prophesee's number of its codec among the filters of HDF5."""
+_COLUMNS = {("t", "x", "y", "p"): "HDF5 (DSEC)", ("ts", "xs", "ys", "ps"): "HDF5 (rpg)"}
+"""Formats by the names of the columns of ``/events``."""
+Columns = tuple[NDArray[Any], ...]
+"""t, x, y, p of some events."""
 
 
 def h5py_module() -> Any:
@@ -77,7 +79,7 @@ def _reading() -> Iterator[None]:
         raise _LostError(f"{type(error).__name__}: {error}") from error
 
 
-class Hdf5Recording(FileRecording):
+class Hdf5Recording(PiecewiseRecording):
     """A recording in HDF5; see `open_recording`.
 
     Parameters
@@ -190,61 +192,50 @@ class Hdf5Recording(FileRecording):
                     "metavision_file_to_dat")
         return found
 
-    def _find_events(self) -> Callable[[slice], tuple[NDArray[Any], ...]]:
+    def _find_events(self) -> Callable[[slice], Columns]:
         """Return a function from rows to (t, x, y, p); set the number of rows."""
-        records = self._records("CD", "txyp")
-        if records is not None:
-            self._format, self._length = "HDF5 (Metavision)", len(records)
-            self._piece = (records.chunks or (CHUNK,))[0]
-
-            def read_records(rows: slice) -> tuple[NDArray[Any], ...]:
-                part = records[rows]
-                return (part["t"].astype(np.int64), *(
-                    np.ascontiguousarray(part[name]) for name in "xyp"))
-
-            return read_records
+        read: Callable[[slice], Columns]
         events = self._member(self._file, "events")
-        if isinstance(events, h5py_module().Group) and all(k in events for k in "txyp"):
-            columns = [self._dataset(events, k, 1) for k in "txyp"]
-            stated = self._member(self._file, "t_offset")
-            offset = 0 if stated is None else int(stated[()])
-            offset = min(max(offset, -FAR // 2), FAR // 2)
-            self._format, self._length = "HDF5 (DSEC)", self._common_length(columns)
-            self._piece = min((c.chunks or (CHUNK,))[0] for c in columns)
+        group: Any = events if isinstance(events, h5py_module().Group) else {}
+        names = next((names for names in _COLUMNS if all(k in group for k in names)),
+                     None)
+        if (records := self._records("CD", "txyp")) is not None:
+            self._format, parts = "HDF5 (Metavision)", [records]
+            kind = records.dtype["t"].kind
 
-            def read(rows: slice) -> tuple[NDArray[Any], ...]:
-                t, x, y, p = (column[rows] for column in columns)
-                return _microseconds(t, 1.0) + offset, x, y, p
+            def read(rows: slice) -> Columns:
+                part = records[rows]
+                return tuple(np.ascontiguousarray(part[name]) for name in "txyp")
+        elif names is not None:
+            self._format = _COLUMNS[names]
+            parts = [self._dataset(events, name, 1) for name in names]
+            kind = parts[0].dtype.kind
 
-            return read
-        if isinstance(events, h5py_module().Group) and all(
-                k in events for k in ("ts", "xs", "ys", "ps")):
-            columns = [self._dataset(events, k, 1) for k in ("ts", "xs", "ys", "ps")]
-            self._format, self._length = "HDF5 (rpg)", self._common_length(columns)
-            self._piece = min((c.chunks or (CHUNK,))[0] for c in columns)
-            unit = _unit(self._first(lambda rows: columns[0][rows]))
+            def read(rows: slice) -> Columns:
+                return tuple(column[rows] for column in parts)
+        elif events is not None and events is not group and (
+                table := self._dataset(self._file, "events", 2)).shape[1] == 4:
+            self._format, parts, kind = "HDF5 (E2P)", [table], table.dtype.kind
 
-            def read_rpg(rows: slice) -> tuple[NDArray[Any], ...]:
-                t, x, y, p = (column[rows] for column in columns)
-                return _microseconds(t, unit), x, y, p
-
-            return read_rpg
-        table = self._dataset(self._file, "events", 2) if isinstance(
-            events, h5py_module().Dataset) else None
-        if table is None or table.shape[1] != 4:
+            def read(rows: slice) -> Columns:
+                return tuple(table[rows].T)
+        else:
             raise RecordingError(
                 f"{self._path}: no /events of E2P (N, 4), DSEC (t, x, y, p) or "
                 "rpg (ts, xs, ys, ps), no /CD/events of Metavision; it "
                 f"holds {', '.join(self._file) or 'nothing'}")
-        self._format, self._length = "HDF5 (E2P)", len(table)
-        self._piece = (table.chunks or (CHUNK,))[0]
-        scale = _unit(self._first(lambda rows: table[rows, 0]))
+        self._length = self._common_length(parts)
+        self._piece = min((part.chunks or (CHUNK,))[0] for part in parts)
+        unit = _unit(self._first(read)[0]) if kind == "f" else 1.0
+        stated = self._member(self._file, "t_offset")
+        offset = 0 if stated is None else int(stated[()])
+        offset = min(max(offset, -FAR // 2), FAR // 2)
 
-        def read_table(rows: slice) -> tuple[NDArray[Any], ...]:
-            t, x, y, p = table[rows].T
-            return _microseconds(t, scale), x, y, p
+        def columns(rows: slice) -> Columns:
+            t, x, y, p = read(rows)
+            return _microseconds(t, unit) + offset, x, y, p
 
-        return read_table
+        return columns
 
     def _common_length(self, columns: Sequence[Any]) -> int:
         """Return the length of the columns t, x, y, p; raise if they differ."""
@@ -256,14 +247,19 @@ class Hdf5Recording(FileRecording):
                 f"{self._path}: columns of events must have one length, got {names}")
         return lengths[0]
 
-    def _first(self, read: Callable[[slice], NDArray[Any]]) -> NDArray[Any]:
-        """Return the readable ones of the first events."""
+    def _first(self, read: Callable[[slice], Columns]) -> Columns:
+        """Return the columns of the readable ones of the first events."""
         step = max(self._piece, LEAST_PIECE)
         for rows in (slice(0, CHUNK), *(
                 slice(row, row + step) for row in range(0, self._length, step))):
             with contextlib.suppress(_LostError), _reading():
                 return read(rows)
         raise _LostError("none of its events can be read")
+
+    def _farthest(self) -> tuple[int, int]:
+        """Return the largest x and y of the first events."""
+        _, x, y, _ = self._first(self._columns)
+        return int(x.max(initial=0)), int(y.max(initial=0))
 
     def _stated_size(self, options: SourceOptions) -> Fact | None:
         """Return the sensor (height, width) that the file states, None if it does not.
@@ -299,40 +295,21 @@ class Hdf5Recording(FileRecording):
         return None
 
     def _make_info(self, options: SourceOptions) -> RecordingInfo:
-        attributes, origin = self._file.attrs, FILE
-        size = self._stated_size(options)
-        if size is not None:
-            (height, width), origin = size.value, size.origin
-        elif self._frames is not None and len(self._frames):
-            height, width = self._frames.shape[1:]
-        elif options.size is not None:
-            (height, width), origin = options.size, CALLER
-        else:
-            # DSEC has no size: use that of the first events, at least a DAVIS346.
-            self._log.add("unknown size", None, "the file does not give the sensor's "
-                          "size: one that holds the first events is assumed; "
-                          "sensor_size=(height, width) sets another")
-            height = max(260, 1 + int(
-                self._first(lambda rows: self._columns(rows)[2]).max(initial=0)))
-            width = max(346, 1 + int(
-                self._first(lambda rows: self._columns(rows)[1]).max(initial=0)))
-            origin = ASSUMED
-        if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
+        attributes, frames = self._file.attrs, self._frames
+        of_frames = None if frames is None or not len(frames) else frames.shape[1:]
+        size = self._sensor_size(
+            self._stated_size(options) or of_frames, self._farthest)
+        if of_frames is not None and of_frames != size.value:
             raise RecordingError(
-                f"{self._path}: sensor sides must lie in 1..{MAX_SIDE}, the file says "
-                f"{width}x{height}")
-        if self._frames is not None and len(self._frames) and (
-                self._frames.shape[1:] != (height, width)):
-            raise RecordingError(
-                f"{self._path}: frames are of shape {self._frames.shape[1:]}, the "
-                f"sensor is {(height, width)}")
+                f"{self._path}: frames are of shape {of_frames}, the sensor is "
+                f"{size.value}")
         known = attributes.get("layout")
         layout = None if known is None else Layout.stored(
             ",".join(str(int(angle)) for angle in known), attributes.get("sensor"))
         camera = attributes.get("camera")
         known = stated(
             options, attributes.get("source_facts"), layout=layout,
-            sensor_size=Fact((height, width), origin), sensor=Sensor.of_chip(camera),
+            sensor_size=size, sensor=Sensor.of_chip(camera),
             frame_times=None if self._frames is None else "time stamps")
         self._full_scale = known.get("full_scale_dn")
         return RecordingInfo(
@@ -352,47 +329,27 @@ class Hdf5Recording(FileRecording):
 
     # Reading -------------------------------------------------------------------
 
-    def packets(
-        self, start_us: int | None = None, stop_us: int | None = None
-    ) -> Iterator[Packet]:
-        """Iterate over the samples with start_us <= time < stop_us, in time order."""
-        if not self._file:
-            raise ValueError(f"{self._path.name}: recording is closed")
-        return packetise(self._batches(start_us, Scratch()), start_us, stop_us)
-
-    def events(
-        self, start_us: int | None = None, stop_us: int | None = None
-    ) -> NDArray[Any]:
-        """Return the events of start_us <= time < stop_us as one array."""
-        if not self._file:
-            raise ValueError(f"{self._path.name}: recording is closed")
-        memory, clock = Gathering(start_us, stop_us), Clock(Timeline())
-        if start_us is stop_us is None:
-            memory.reserve(self._length + CHUNK)
-        for row in range(self._row_before(start_us), self._length, CHUNK):
-            if memory.keep(self._events(
-                    row, min(row + CHUNK, self._length), clock, memory)):
-                break
-        return memory.events
-
-    def _batches(self, start_us: int | None, memory: Scratch) -> Iterator[Batch]:
-        frames, taken = self._all_frames(), 0
-        yield Batch(imu=self._table("imu", IMU_DTYPE),
-                    triggers=self._triggers(),
-                    complete_us=NEVER)
+    def _pieces(self, start_us: int | None, memory: Scratch, *, frames: bool = True
+                ) -> Iterator[tuple[Batch, float]]:
+        """Yield the samples of each chunk, and the share of the events read by then."""
+        places, taken = self._all_frames() if frames else [], 0
+        if frames:
+            yield Batch(imu=self._table("imu", IMU_DTYPE), triggers=self._triggers(),
+                        complete_us=NEVER), 0.0
         clock, before = Clock(Timeline()), NEVER
         for row in range(self._row_before(start_us), self._length, CHUNK):
             events = self._events(row, min(row + CHUNK, self._length), clock, memory)
             now = clock.last
             ready: list[ApsFrame] = []
-            while taken < len(frames) and frames[taken].ready <= max(now, before):
-                ready += self._frame(frames[taken])
+            while taken < len(places) and places[taken].ready <= max(now, before):
+                ready += self._frame(places[taken])
                 taken += 1
             before = now
             yield Batch(events, ready, complete_us=min(
-                [now, *(f.ready for f in frames[taken:taken + 1])]))
-        for place in frames[taken:]:
-            yield Batch(frames=self._frame(place), complete_us=place.ready)
+                [now, *(f.ready for f in places[taken:taken + 1])])), (
+                    min(row + CHUNK, self._length) / self._length)
+        for place in places[taken:]:
+            yield Batch(frames=self._frame(place), complete_us=place.ready), 1.0
 
     def _row_before(self, start_us: int | None) -> int:
         if start_us is None:
