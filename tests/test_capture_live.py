@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
+from link_faults import FaultySource
 
 import pdavis_cv
 from pdavis_cv import CAP_PDAVIS, Layout, VideoCapture, fuse
 from pdavis_cv.capture import constants as c
 from pdavis_cv.capture.video import CaptureStatus
-from pdavis_cv.live import LinkFaults
 from pdavis_cv.live.base import LiveSource
-from pdavis_cv.live.faults import FaultySource
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 
@@ -27,7 +26,7 @@ def recording():
 
 def device(recording, **faults):
     source = ReplaySource(recording, "test", speed=0)
-    return FaultySource(source, LinkFaults(**faults)) if faults else source
+    return FaultySource(source, **faults) if faults else source
 
 
 class Silent(LiveSource):

@@ -10,7 +10,6 @@ from urllib.parse import parse_qsl
 from pdavis_cv._options import changed, takes
 from pdavis_cv.errors import DeviceError
 from pdavis_cv.live.base import Address, LiveSource
-from pdavis_cv.live.faults import FaultySource, LinkFaults
 from pdavis_cv.recording.base import Source
 from pdavis_cv.recording.open import AnySource, open_recording
 from pdavis_cv.recording.options import SourceOptions
@@ -62,8 +61,7 @@ def open_source(
         ``replay:FILE`` (``speed=1``, 0 = as fast as it is read; ``loop=1``) and
         ``simulate:SCENE`` (``camera=typical``, ``size=48x48``, ``rpm=200``, ``seed=0``,
         and those of replay), followed by ``?name=value&...``.  The last two take
-        ``seconds=``, after which they end; all take the faults of `LinkFaults`, such as
-        ``unplug=3``.
+        ``seconds=``, after which they end.
     options : SourceOptions, optional
         Options to begin with; keywords override them.
     {options}
@@ -101,17 +99,13 @@ def open_source(
     try:
         values = dict(parse_qsl(query, keep_blank_values=True, strict_parsing=True)
                       if query else ())
-        faults = LinkFaults(**{
-            name: number(name, values.pop(name),
-                         int if name == "fault_seed" else float)
-            for name in LinkFaults.names() if name in values})
         opener = SOURCES[scheme]
         opened = opener(Address(where, target, functools.partial(
             open_recording, options=options)), **options_of(opener, values))
         opened.state(options)
     except ValueError as error:
         raise DeviceError(f"{where}: {error}") from error
-    return opened if faults == LinkFaults() else FaultySource(opened, faults)
+    return opened
 
 
 def number(name: str, text: str, kind: Callable[[str], Any] = float) -> Any:
@@ -153,8 +147,7 @@ def options_of(
     for name, text in values.items():
         if name not in defaults:
             raise ValueError(
-                f"there is no {name!r}; it takes {', '.join(defaults)} and the faults "
-                f"{', '.join(LinkFaults.names())}")
+                f"there is no {name!r}; it takes {', '.join(defaults)}")
         kind = type(defaults[name])
         if kind is bool:
             found[name] = bool(number(name, text, int))
