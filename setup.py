@@ -62,7 +62,6 @@ SHARED = (
     "_double.pxd",
     "_estimate.pxd",
     "_extrapolation.h",
-    "_film.h",
     "_guided.h",
     "_increments.h",
     "_increments.pxd",

@@ -89,7 +89,7 @@ from ._scenes import (
     plane_waves,
     texture_stokes,
 )
-from ._simulate import pixel_events, video_events
+from ._simulate import pixel_events
 from ._store import store_commit, store_link, store_push, store_unlink
 
 __all__ = [name for name in dir() if name[0] != "_"]

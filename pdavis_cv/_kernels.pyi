@@ -98,7 +98,6 @@ __all__ = [
     "superpixel",
     "texture_stokes",
     "tone_bgr",
-    "video_events",
     "voxel_planes",
 ]
 
@@ -400,9 +399,3 @@ def texture_stokes(
     first: _F64, second: _F64, third: _F64, s0: float, contrast: float, dolp: float,
     dolp_spread: float, aop: float, aop_spread: float,
 ) -> None: ...
-def video_events(
-    quads: tuple[_F32, ...], weights: _F32, light: _F32, keys: NDArray[np.uint64],
-    edges: NDArray[np.float64], first_edge: int, settings: NDArray[np.float64],
-    watch: _F32, cells: NDArray[Any], start: int, stop: int, band: int, done: int,
-    out: NDArray[Any]
-) -> tuple[int, int]: ...

@@ -2,6 +2,7 @@
 import math
 
 import numpy as np
+from scipy.signal import lfilter
 
 
 def sort_events(events):
@@ -31,58 +32,26 @@ def read_out(events, until, event_us, row_us, size):
     return np.array(out, events.dtype), lost
 
 
-def film_pixel(v, step_us, cutoff_hz, on, off, leak_hz):
-    """Events of one pixel whose log light is linear between v[k] at k step_us.
+def video_pixel(light, step_us, cutoff_hz, on, off, leak_hz):
+    """Events of one pixel whose light is linear between light[k] at k step_us.
 
-    The filter's solution in closed form, looked at every microsecond.
+    The low-pass of its log, taken as linear over each microsecond.
     """
-    phi = 2e-6 * math.pi * cutoff_hz * step_us
-    level = reference = v[0]
-    drift = leak_hz * on * step_us / 1e6
-    found = []
-    x = np.arange(1, step_us + 1) / step_us
-    for k in range(len(v) - 1):
-        dv = v[k + 1] - v[k]
-        p0 = v[k] - dv / phi
-        seen = np.exp(-phi * x) * (level - p0) + p0 + dv * x + drift * x
-        for i, y in enumerate(seen):
-            while y >= reference + on or y <= reference - off:
-                up = y >= reference + on
-                found.append((k * step_us + i + 1, up))
-                reference += on if up else -off
-        level = seen[-1] - drift
-        reference -= drift
+    n = (len(light) - 1) * step_us
+    v = np.log(np.interp(np.arange(n + 1) / step_us, np.arange(len(light)), light))
+    phi = 2e-6 * math.pi * cutoff_hz
+    decay = math.exp(-phi)
+    ramp = 1 - (1 - decay) / phi
+    seen, _ = lfilter([ramp, 1 - decay - ramp], [1, -decay], v - v[0],
+                      zi=np.zeros(1))
+    seen += leak_hz * on * 1e-6 * np.arange(n + 1)
+    reference, found = 0.0, []
+    for t, y in enumerate(seen):
+        while y >= reference + on or y <= reference - off:
+            up = y >= reference + on
+            found.append((t, up))
+            reference += on if up else -off
     return found
-
-
-def log32(x):
-    """Cephes' logf of positive, normal float32, each step rounded to float32."""
-    bits = x.view(np.int32)
-    k = (bits - 0x3f3504f3) >> 23
-    m = (bits - k * (1 << 23)).view(np.float32) - np.float32(1)
-    y = np.full_like(m, 7.0376836292e-2)
-    for c in (-1.1514610310e-1, 1.1676998740e-1, -1.2420140846e-1, 1.4249322787e-1,
-              -1.6668057665e-1, 2.0000714765e-1, -2.4999993993e-1, 3.3333331174e-1):
-        y = y * m + np.float32(c)
-    z, e = m * m, k.astype(np.float32)
-    y = y * m * z + e * np.float32(-2.12194440e-4) - np.float32(0.5) * z
-    return m + y + e * np.float32(0.693359375)
-
-
-def film_step(quad, weights, level, v, phi, dark):
-    """Light, filtered log light and log light at the end of a step, in float32."""
-    i0, i45, i90, i135 = quad.reshape(4, -1)
-    half, along, across = weights
-    light = np.maximum(
-        np.float32(dark) + half * ((i0 + i90) + (i45 + i135))
-        + (along * (i0 - i90) + across * (i45 - i135)), np.float32(1e-9))
-    after = log32(light)
-    if phi is None:
-        return light, after, after
-    # What remains of a step, and of a ramp, after the time of the filter.
-    w0 = np.float32(-math.expm1(-phi))
-    w1 = np.float32(1 + math.expm1(-phi) / phi)
-    return light, level + w0 * (v - level) + w1 * (after - v), after
 
 
 def plane_waves(down_c, down_s, cos, sin):

@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
 from time import perf_counter
 from typing import Any
 
@@ -15,8 +14,6 @@ from pdavis_cv.simulation import (
     RotatingPlate,
     RotatingPolarizer,
     Scene,
-    Texture,
-    VideoScene,
     rotating_polarizer,
 )
 
@@ -31,7 +28,6 @@ from .cases import (
 )
 from .floor import compiled_floor
 
-VIDEO_FPS, VIDEO_FRAMES = 1000.0, 40
 CLOSED_FORM: dict[str, tuple[Scene, tuple[int, int], float]] = {
     "polarizer, 64x64": (RotatingPolarizer(rpm=1013.0), (64, 64), 0.1),
     "polarizer, 12x12": (RotatingPolarizer(rpm=1013.0), (12, 12), 1.0),
@@ -86,89 +82,6 @@ def _closed_form() -> Iterator[Comparison]:
                          lambda s: EVENTS / s / 1e6, "Mev/s", name in CLOSED_FORM)
 
 
-@cache
-def texture_video() -> NDArray[np.float32]:
-    """Return a moving texture as four planes in DN per ms, float32 (N, 4, H, W)."""
-    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    scene = Texture(velocity=(200.0, 60.0))
-    quad = np.empty((VIDEO_FRAMES + 1, 4, *SHAPE), np.float32)
-    for k, frame in enumerate(quad):
-        s0, s1, s2 = scene.stokes(k * 1e6 / VIDEO_FPS, x, y)
-        frame[:] = np.stack((s0 + s1, s0 + s2, s0 - s1, s0 - s2)) / 2
-    return quad
-
-
-def _check_video() -> None:
-    """Hold summed events of an ideal camera against the video's own log ratio."""
-    quad = texture_video()
-    camera = Camera.preset("ideal", size=SHAPE, aps=None)
-    events = _events(camera, VideoScene(quad, VIDEO_FPS), VIDEO_FRAMES / VIDEO_FPS)
-    summed = np.zeros(SHAPE)
-    np.add.at(summed, (events["y"], events["x"]),
-              np.where(events["p"] == 1, 0.15, -0.15))
-    s0 = quad.sum(1) / 2
-    stokes = np.stack((s0, quad[:, 0] - quad[:, 2], quad[:, 1] - quad[:, 3]), -1)
-    light = np.einsum("nhwc,hwc->nhw", stokes[[0, -1]], camera.maps["analyser"])
-    assert np.max(np.abs(np.log(light[1] / light[0]) - summed)) < 0.1501
-
-
-def _video_seconds(camera: Camera, quad: NDArray[np.float32]) -> float:
-    """Time per frame, without the making of the camera and its first 10 ms."""
-    stream = camera.stream(VideoScene(quad, VIDEO_FPS), VIDEO_FRAMES / VIDEO_FPS)
-    pieces = stream.pieces()
-    next(pieces)
-    start = perf_counter()
-    for _ in pieces:
-        pass
-    return (perf_counter() - start) / (VIDEO_FRAMES * 0.75)
-
-
-def _video() -> Iterator[Comparison]:
-    frame = np.random.default_rng(4).uniform(-1, 1, SHAPE)
-    camera = Camera.preset("nominal", size=SHAPE, aps=None)
-    moving = texture_video()
-    still = np.repeat(moving[:1], len(moving), axis=0)
-
-    def floor() -> float:
-        start = perf_counter()
-        for _ in range(30):
-            np.exp(frame)
-        return (perf_counter() - start) / 30
-
-    for name, quad, judged in (("moving texture, noise", moving, True),
-                               ("still texture, noise", still, False)):
-        def candidate(quad: NDArray[np.float32] = quad) -> float:
-            return _video_seconds(camera, quad)
-
-        yield Comparison(name, _check_video, candidate, floor, lambda s: 1 / s,
-                         "img/s", judged)
-
-
-def _eventcv() -> Iterator[Comparison]:
-    import eventcv  # type: ignore[import-not-found,unused-ignore]
-    quad = texture_video()
-    grey = quad.sum(1)
-    grey /= grey.max()
-    dvs = {"theta_on": 0.2, "theta_off": 0.2, "mismatch": 0.0, "mismatch_ln": 0.03,
-           "refractory_us": 100.0, "cutoff_hz": 200.0, "leak_hz": 1.0,
-           "shot_noise_hz": 10.0}
-    camera = Camera.preset("nominal", size=SHAPE, aps=None, dvs=dvs)  # its defaults
-
-    def floor() -> float:
-        start = perf_counter()
-        eventcv.simulate(grey, fps=VIDEO_FPS)
-        return (perf_counter() - start) / VIDEO_FRAMES
-
-    yield Comparison("moving texture, noise", _check_video,
-                     lambda: _video_seconds(camera, quad), floor, lambda s: 1 / s,
-                     "img/s")
-
-
-for _name, _title, _goal, _comparisons in (
-        ("simulate", "simulate closed-form scenes, ideal, against floor_sum", 0.01,
-         _closed_form),
-        ("simulate-video", "simulate a video, 346x260, against np.exp of one frame",
-         0.1, _video),
-        ("simulate-eventcv", "simulate a video, against EventCV's simulator", 3,
-         _eventcv)):
-    CASES[_name] = Case(_name, _title, _goal, _comparisons)
+CASES["simulate"] = Case(
+    "simulate", "simulate closed-form scenes, ideal, against floor_sum", 0.01,
+    _closed_form)

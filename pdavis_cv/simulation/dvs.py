@@ -2,16 +2,13 @@
 from __future__ import annotations
 
 import math
-import threading
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv._kernels import pixel_events, sort_events, video_events
+from pdavis_cv._kernels import pixel_events, sort_events
 from pdavis_cv._types import Events
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.simulation import noise
@@ -26,10 +23,8 @@ from pdavis_cv.simulation.checks import (
     within,
 )
 
-__all__ = ["FILM_ROWS", "DvsPixel", "PixelArray"]
+__all__ = ["DvsPixel", "PixelArray"]
 
-FILM_ROWS = 16      # rows per band of a video: the state of their pixels fits a cache
-_INTERVALS = 16     # intervals of a video per call of the kernel
 # Longest interval in time constants of the second pole: the cubic of `_follow` is then
 # off by at most 4e-6 of a step of log light.
 _POLE_PHASE = 0.2
@@ -41,11 +36,6 @@ FloatArray = NDArray[np.float64]
 
 _LEAST_HZ = 1e-12       # a period is at most the range of times, 2**61 us
 _LEAST_THETA, _MOST_THETA = 1e-3, 100.0     # 0.1 % of light, and more than its range
-
-_CELL_DTYPE = np.dtype([
-    *((name, np.float64) for name in (
-        "ref", "since", "release", "noise_t", "on", "off", "leak")),
-    ("counter", np.uint64)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,7 +200,6 @@ class PixelArray:
         self._pixels = np.empty((n, 3))
         self._pixels[:, 0] = maps["theta_on"].ravel()
         self._pixels[:, 1] = maps["theta_off"].ravel()
-        self._cells: NDArray[Any] = np.empty(0, _CELL_DTYPE)     # see `settle_film`
         self._pixels[:, 2] = (maps["leak_hz"] * maps["theta_on"]).ravel() / 1e6
         self._nominal = self._pixels.copy()
         index = noise.pixel_index(self.size, origin).ravel()
@@ -229,16 +218,11 @@ class PixelArray:
             pixel.shot_noise_bright_factor, pixel.bright_dn_ms, pixel.burst_chance,
             pixel.burst_us, pixel.shot_noise_hz / 1e6, pixel.dark_dn_ms,
             pixel.leak_hz_per_dn_ms / 1e6])
-        self._buffers: dict[int | tuple[int, int], NDArray[Any]] = {}
 
     def set_conditions(self, on: float, off: float, current: float = 1.0) -> None:
         """Scale the nominal thresholds, and leak and dark current, by these factors."""
         self._pixels[:] = self._nominal * (on, off, current)
         self._settings[_DARK] = self.pixel.dark_dn_ms * current
-        if len(self._cells):
-            for column, name in enumerate(("on", "off", "leak")):
-                self._cells[name] = self._pixels[:, column]
-            self._watch[4] = -1  # bounds of rest are void: examine every pixel
 
     @property
     def dark_dn_ms(self) -> float:
@@ -287,18 +271,24 @@ class PixelArray:
         if self.pixel.second_pole_hz is not None:
             light, slope = self._follow(step_us, light, slope, analyser, part)
             analyser = None
-        settings = self._at(start_us, step_us)
+        settings = self._settings.copy()
+        settings[0], settings[1] = step_us, start_us
         edges = np.empty(0) if edges is None else edges
         pixels, keys = self._pixels[part], self._keys[part]
         places, state = self._places[part], self._state[part]
         counters = self._counters[part]
 
-        def run(start: int, buffer: NDArray[Any]) -> tuple[int, int]:
-            return pixel_events(
+        buffer = np.empty(65_536, EVENT_DTYPE)
+        parts, done = [], 0
+        while done < len(pixels):
+            before = done
+            done, n = pixel_events(
                 light, slope, analyser, pixels, keys, edges, first_edge, settings,
-                places, state, counters, start, len(pixels), buffer)
-
-        return self._collect(run, 0, len(pixels))
+                places, state, counters, done, len(pixels), buffer)
+            parts.append(buffer[:n].copy())
+            if done == before:
+                buffer = np.empty(2 * len(buffer), EVENT_DTYPE)
+        return parts
 
     def _follow(
         self, step_us: float, light: FloatArray, slope: FloatArray,
@@ -319,9 +309,10 @@ class PixelArray:
         if len(slope):
             ends = slope / total
             first, last = ends[:-1], ends[1:]
-        else:  # linear light: its own slope at both ends
-            change = np.diff(light, axis=0)
-            first, last = change / total[:-1], change / total[1:]
+        else:  # linear light: its own slope at both ends, as `monotone` limits it
+            change, most = np.diff(light, axis=0), 3 * np.abs(rise)
+            first, last = (np.clip(change / at, -most, most)
+                           for at in (total[:-1], total[1:]))
         phi = 2e-6 * math.pi * (self.pixel.second_pole_hz or 0.0) * step_us
         weights = lag_weights(phi)
         cubic = np.stack((log[:-1], first, 3 * rise - 2 * first - last,
@@ -334,109 +325,6 @@ class PixelArray:
         self._followed[part] = followed[-1]
         seen = np.exp(followed)
         return np.ascontiguousarray(seen - dark), seen * phi * (log - followed)
-
-    def settle_film(self, seen: NDArray[np.float32]) -> None:
-        """Put all pixels into steady state under the first frame of a video.
-
-        Parameters
-        ----------
-        seen : ndarray of float32, shape (H * W,)
-            Light on each pixel, DN per ms, dark current included.
-        """
-        # In float64, because NumPy's float32 log depends on the CPU.
-        level = np.log(np.maximum(seen, 1e-9), dtype=np.float64).astype(np.float32)
-        self._watch = np.zeros((5, len(seen)), np.float32)
-        self._watch[:2] = level
-        self._watch[4] = -1  # no bounds of rest yet: examine every pixel
-        # Aligned, so that each cell lies in one cache line.
-        room = np.zeros(len(seen) + 1, _CELL_DTYPE).view(np.uint8)
-        line = _CELL_DTYPE.itemsize
-        first = -room.ctypes.data % line
-        self._cells = room[first:first + line * len(seen)].view(_CELL_DTYPE)
-        self._cells["ref"] = level
-        self._cells["release"] = -np.inf
-        for column, name in enumerate(("on", "off", "leak")):
-            self._cells[name] = self._pixels[:, column]
-
-    def advance_film(
-        self, times_us: Sequence[float], quads: Sequence[NDArray[np.float32]],
-        weights: NDArray[np.float32], light: NDArray[np.float32] | None = None, *,
-        rows: slice = slice(None), edges: FloatArray | None = None,
-        first_edge: int = 0,
-    ) -> list[Events]:
-        """Return the events of K intervals over which log light is linear.
-
-        Parameters
-        ----------
-        times_us : sequence of float
-            The K + 1 ends of the intervals.
-        quads : sequence of ndarray of float32, shape (4, H, W)
-            Four planes of light at the end of each, DN per ms.
-        weights : ndarray of float32, shape (3, H * W)
-            Response of each pixel to I0 + I45 + I90 + I135, I0 - I90, I45 - I135.
-        light : ndarray of float32, shape (K, H * W), optional
-            Receives the light on each pixel there, dark current included.
-        rows : slice
-            Rows of the sensor to simulate; start at a multiple of 16, since the order
-            of simultaneous events depends on the bands.
-        edges, first_edge
-            As for `advance`.
-
-        Returns
-        -------
-        list of ndarray of EVENT_DTYPE
-            Bands of 16 rows one after the other, in each the intervals, in each of
-            these the pixels; time-ordered within each pixel.  The next call for the
-            same rows overwrites them.
-        """
-        part = self._part(rows)
-        settings = np.stack([self._at(a, b - a) for a, b in pairwise(times_us)])
-        edges = np.empty(0) if edges is None else edges
-        light = np.empty((0, len(self._keys)), np.float32) if light is None else light
-        events: list[Events] = []
-        for k in range(0, len(quads), _INTERVALS):
-            some = slice(k, k + _INTERVALS)
-            frames = tuple(quads[some])
-
-            def run(done: int, buffer: NDArray[Any], some: slice = some,
-                    frames: tuple[NDArray[np.float32], ...] = frames,
-                    ) -> tuple[int, int]:
-                return video_events(
-                    frames, weights, light[some], self._keys, edges, first_edge,
-                    settings[some], self._watch, self._cells, part.start, part.stop,
-                    FILM_ROWS * self.size[1], done, buffer)
-
-            events += self._collect(run, 0, (part.stop - part.start) * len(frames),
-                                    (part.start, k))
-        return events
-
-    def _at(self, start_us: float, step_us: float) -> FloatArray:
-        settings = self._settings.copy()
-        settings[0], settings[1] = step_us, start_us
-        return settings
-
-    def _collect(
-        self, run: Callable[[int, NDArray[Any]], tuple[int, int]], done: int, stop: int,
-        place: tuple[int, int] | None = None,
-    ) -> list[Events]:
-        """Run a kernel until it has finished, enlarging the buffer as needed.
-
-        Without a place, the buffer is the thread's and events are copied out of it;
-        with one, they are views of a buffer that its next use overwrites.
-        """
-        parts = []
-        key = threading.get_ident() if place is None else place
-        buffer = self._buffers.get(key)
-        if buffer is None:
-            buffer = np.empty(65_536, EVENT_DTYPE)
-        while done < stop:
-            before = done
-            done, n = run(done, buffer)
-            parts.append(buffer[:n].copy() if place is None else buffer[:n])
-            if done == before or (done < stop and place is not None):
-                buffer = np.empty(2 * len(buffer), EVENT_DTYPE)
-        self._buffers[key] = buffer
-        return parts
 
     def _part(self, rows: slice) -> slice:
         first, last, _ = rows.indices(self.size[0])

@@ -460,10 +460,8 @@ class VideoScene(Scene):
     """A scene from a video of the intensities behind four ideal analysers.
 
     Intensity is linear in time between frames: where the light is smooth, the error
-    is at most interval^2 / 8 times its largest second derivative.  Event pixels with
-    a constant cutoff take its log as linear instead, which differs by at most
-    (ln ratio)^2 / 8 where intensity changes by a ratio from frame to frame.  Before
-    the first and after the last frame the light is constant.
+    is at most interval^2 / 8 times its largest second derivative.  Before the first and
+    after the last frame the light is constant.
 
     Parameters
     ----------

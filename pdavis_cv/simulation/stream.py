@@ -1,7 +1,6 @@
 """A simulation as a recording: computed while it is read, in constant memory."""
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -25,9 +24,8 @@ from pdavis_cv.recording.base import (
 from pdavis_cv.simulation.aps import FrameClock, make_frame, node_slopes
 from pdavis_cv.simulation.bus import BusState
 from pdavis_cv.simulation.checks import affordable
-from pdavis_cv.simulation.dvs import FILM_ROWS, PixelArray, in_time_order
+from pdavis_cv.simulation.dvs import PixelArray, in_time_order
 from pdavis_cv.simulation.faults import EventFaults
-from pdavis_cv.simulation.film import Film
 from pdavis_cv.simulation.patterns import VideoScene
 from pdavis_cv.simulation.scenes import FloatArray, Scene, Stokes
 from pdavis_cv.simulation.specimen import Specimen
@@ -160,12 +158,6 @@ class SimulatedRecording(Recording):
         faults, wrong, conditions = camera.faults, None, (1.0, 1.0, 1.0)
         if faults.lost or faults.jitter_us:
             wrong = EventFaults(faults, camera.noise_seed(self.run))
-        film = None
-        if isinstance(self.scene, VideoScene) and camera.neighbours is None and not (
-                camera.dvs is not None and (
-                    camera.dvs.cutoff_hz_per_dn_ms or camera.dvs.leak_hz_per_dn_ms
-                    or camera.dvs.second_pole_hz)):
-            film = Film(self.scene, camera.maps["analyser"], camera.origin)
         sums: dict[int, FloatArray] = {}
         log: list[tuple[int, float, int]] = []
         with ThreadPoolExecutor(self.threads) as pool:
@@ -175,7 +167,7 @@ class SimulatedRecording(Recording):
                         now := self._conditions(start)):
                     conditions = now
                     pixels.set_conditions(*now)
-                parts = self._simulate(start, pixels, clock, sums, pool, film)
+                parts = self._simulate(start, pixels, clock, sums, pool)
                 events = in_time_order(parts, start, stop)
                 piece = Piece(stop, events)
                 if bus is not None:
@@ -204,15 +196,12 @@ class SimulatedRecording(Recording):
 
     def _simulate(
         self, start: int, pixels: PixelArray | None, clock: FrameClock | None,
-        sums: dict[int, FloatArray], pool: ThreadPoolExecutor, film: Film | None,
+        sums: dict[int, FloatArray], pool: ThreadPoolExecutor,
     ) -> list[NDArray[Any]]:
         """Return the events of 10 ms, and add its light to the exposures ``sums``."""
         height, width = self.camera.size
         rows = [slice(r, min(r + _ROWS, height)) for r in range(0, height, _ROWS)]
-        if film is not None:
-            step = -(-height // (self.threads * FILM_ROWS)) * FILM_ROWS
-            rows = [slice(r, min(r + step, height)) for r in range(0, height, step)]
-        elif self.threads == 1 and (self._uniform or self.scene.linear):
+        if self.threads == 1 and (self._uniform or self.scene.linear):
             rows = [slice(0, height)]
         blocks = self._blocks(start)
         weights = {} if clock is None else {
@@ -244,45 +233,8 @@ class SimulatedRecording(Recording):
                             weight, light, analyser, (part.stop - part.start, width))
             return events
 
-        if film is not None:
-            return self._show(film, blocks, rows, pixels, weights, sums, pool, {
-                "edges": edges, "first_edge": first_edge})
         found = pool.map(band, rows) if self.threads > 1 else map(band, rows)
         return [events for part in found for events in part]
-
-    def _show(
-        self, film: Film, blocks: list[tuple[float, float, int]], rows: list[slice],
-        pixels: PixelArray | None,
-        weights: dict[tuple[int, tuple[float, float, int]], FloatArray],
-        sums: dict[int, FloatArray], pool: ThreadPoolExecutor, bursts: dict[str, Any],
-    ) -> list[NDArray[Any]]:
-        """Do what `_simulate` does for a video, by the faster kernel for it."""
-        dark = 0.0 if pixels is None else pixels.dark_dn_ms
-        times = [blocks[0][0], *(at + step for at, step, _ in blocks)]
-        quads = [film.quad(t) for t in times[1:]]
-        seen = None
-        if any(np.any(weight) for weight in weights.values()):
-            seen = np.empty((len(quads), film.weights.shape[1]), np.float32)
-        if pixels is None:
-            events = []
-            if seen is not None:
-                seen[:] = [film.light(quad, dark) for quad in quads]
-        else:
-            if times[0] == 0:
-                pixels.settle_film(film.light(film.quad(0), dark))
-            show = functools.partial(_film_band, pixels, film, times, quads, seen,
-                                     bursts)
-            found = map if len(rows) == 1 else pool.map
-            events = [part for parts in found(show, rows) for part in parts]
-        if seen is not None:
-            nodes = [film.light(film.quad(times[0]), dark), *seen]
-            for (frame, block), weight in weights.items():
-                total = sums[frame]
-                for node, factor in zip(
-                        nodes[blocks.index(block):], weight, strict=False):
-                    if np.any(factor):
-                        total += factor * (node.reshape(total.shape) - dark)
-        return events
 
     def _blocks(self, start: int) -> list[tuple[float, float, int]]:
         """Return (start, step, intervals) of the blocks of nodes that make 10 ms."""
@@ -365,14 +317,6 @@ class SimulatedRecording(Recording):
         return frames
 
 
-def _film_band(
-    pixels: PixelArray, film: Film, times: list[float],
-    quads: list[NDArray[np.float32]], seen: NDArray[np.float32] | None,
-    bursts: dict[str, Any], rows: slice,
-) -> list[NDArray[Any]]:
-    return pixels.advance_film(times, quads, film.weights, seen, rows=rows, **bursts)
-
-
 def _analysed(analyser: FloatArray, stokes: Stokes, times: int) -> FloatArray:
     """Return light (times, H * W) on pixels of responses (H, W, 3) to Stokes images."""
     shape = (times, *analyser.shape[:2])
@@ -421,5 +365,3 @@ def _between(packet: Packet, start: int, stop: int) -> Packet:
     frames = tuple(frame for frame in packet.frames
                    if start <= frame.available_us < stop)
     return Packet(packet.events[lo:hi], frames)
-
-
