@@ -5,11 +5,13 @@ packets of int32 stream, int32 size and payload.  Frames come on a second connec
 """
 from __future__ import annotations
 
+import contextlib
 import functools
-import select
+import queue
 import socket
 import ssl
 import struct
+import threading
 import time
 from bisect import bisect_left
 from collections import deque
@@ -50,14 +52,15 @@ CONNECT_S = 5.0
 MARGIN_US = 100_000
 """Assumed delay of the sender while nothing arrives, us: DV sends batches of 10 ms, and
 the network delays them.  The stream's time then follows the host's by this much."""
-_CHUNK, _SMALL = 1 << 20, 1 << 16
-"""Bytes read at once: before a packet has begun, and at least, if the rest of one is
-smaller.  Where packets are large, nothing of the next one has to be moved then."""
+_MOST_WAITING = 2
+"""Packets that may wait to be decoded; then the sender waits."""
 _PACKET = struct.Struct("<ii")
+_Item = tuple[str, memoryview, str] | DeviceError | None
+"""Kind, payload and compression of a packet; an error, or None, ends a connection."""
 
 
 class _Connection:
-    """One connection, whose bytes are split into packets.
+    """One connection, whose packets are read in a thread of its own.
 
     Parameters
     ----------
@@ -69,11 +72,7 @@ class _Connection:
 
     def __init__(self, link: socket.socket, name: str) -> None:
         self.link, self.name = link, name
-        # The bytes received and not yet taken: _buffer[_begin:_end].
-        self._buffer = bytearray(_CHUNK)
-        self._begin = self._end = 0
-        self.ended = False
-        size, = struct.unpack("<I", self._exactly(4))
+        size = int.from_bytes(self._exactly(4), "little")
         if not 16 <= size <= MAX_HEADER:
             raise DeviceError(f"{name}: this is no dv stream: its header cannot be "
                               f"{size} bytes long")
@@ -85,82 +84,38 @@ class _Connection:
         if not streams:
             raise DeviceError(f"{name}: the header names no stream")
         self.streams: dict[int, Stream] = streams
-        link.settimeout(HEARTBEAT_S)
+        link.settimeout(None)
+
+    def _received(self, count: int) -> memoryview:
+        """Return the next bytes; fewer only if the sender closed the connection."""
+        # Memory that is only announced is not written to.
+        data, done = np.empty(count, np.uint8).data, 0
+        while done < count and (got := self.link.recv_into(data[done:])):
+            done += got
+        return data[:done]
 
     def _exactly(self, count: int) -> bytes:
-        while self._end - self._begin < count:
-            received = self.link.recv_into(self._room(_CHUNK))
-            if not received:
-                raise DeviceError(f"{self.name}: the sender closed the connection")
-            self._end += received
-        begin, self._begin = self._begin, self._begin + count
-        return bytes(self._buffer[begin:self._begin])
+        data = self._received(count)
+        if len(data) < count:
+            raise DeviceError(f"{self.name}: the sender closed the connection")
+        return bytes(data)
 
-    def _room(self, wanted: int) -> memoryview:
-        """Return free memory behind the bytes held, of up to `wanted` bytes.
-
-        It grows with the bytes that have arrived, not with what a sender announces.
-        """
-        held = self._end - self._begin
-        if self._begin and len(self._buffer) - self._end < min(wanted, _CHUNK):
-            self._buffer[:held] = self._buffer[self._begin:self._end]
-            self._begin, self._end = 0, held
-        if len(self._buffer) - self._end < min(wanted, _CHUNK):
-            self._buffer = self._buffer[:held] + bytearray(len(self._buffer))
-        return memoryview(self._buffer)[self._end:self._end + wanted]
-
-    @property
-    def pending(self) -> bool:
-        """Whether TLS has buffered bytes that have arrived."""
-        return isinstance(self.link, ssl.SSLSocket) and self.link.pending() > 0
-
-    def receive(self) -> None:
-        """Read bytes that have arrived, and the rest of a packet that has begun.
-
-        The rest is waited for here, up to `HEARTBEAT_S`: a sender fills the socket's
-        small buffer again and again, and the packet cannot be used before it is whole.
-        """
-        until_s = time.monotonic() + HEARTBEAT_S
-        wanted = self._missing or _CHUNK
-        while wanted:
-            try:
-                received = self.link.recv_into(self._room(max(wanted, _SMALL)))
-            except TimeoutError:
-                return
-            except OSError as error:
-                raise DeviceError(
-                    f"{self.name}: the connection broke: {error}") from error
-            self._end += received
-            self.ended = not received
-            if self.ended or time.monotonic() > until_s:
-                return
-            wanted = self._missing
-
-    @property
-    def _missing(self) -> int:
-        """Number of bytes that the first packet held lacks; 0 if none is held."""
-        held = self._end - self._begin
-        if held < _PACKET.size:
-            return _PACKET.size - held if held else 0
-        _, size = _PACKET.unpack_from(self._buffer, self._begin)
-        return max(_PACKET.size + int(size) - held, 0)
-
-    def payloads(self) -> Iterator[tuple[str, memoryview]]:
-        """Yield the kind and the payload of each packet that is complete.
-
-        A payload is valid until the next `receive`.
-        """
-        while self._end - self._begin >= _PACKET.size:
-            number, size = _PACKET.unpack_from(self._buffer, self._begin)
-            if not 0 <= size <= MAX_PAYLOAD:
-                raise DeviceError(f"{self.name}: a packet cannot hold {size} bytes")
-            if self._missing:
-                return
-            start = self._begin + _PACKET.size
-            self._begin = start + size
-            stream = self.streams.get(number)
-            if stream is not None:
-                yield stream.kind, memoryview(self._buffer)[start:self._begin]
+    def read(self, put: Callable[[_Item], None]) -> None:
+        """Pass on each packet, at the end the error or the end of the connection."""
+        end = None
+        try:
+            while len(head := self._received(_PACKET.size)) == _PACKET.size:
+                number, size = _PACKET.unpack(head)
+                if not 0 <= size <= MAX_PAYLOAD:
+                    raise DeviceError(f"{self.name}: a packet cannot hold {size} bytes")
+                payload = self._received(size)
+                if len(payload) == size and number in self.streams:
+                    put((self.streams[number].kind, payload, self.compression))
+        except DeviceError as error:
+            end = error
+        except (OSError, ValueError) as error:  # ValueError: TLS, closed meanwhile
+            end = DeviceError(f"{self.name}: the connection broke: {error}")
+        put(end)
 
 
 class DvSource(LiveSource):
@@ -220,29 +175,33 @@ class DvSource(LiveSource):
             frame_count=None if "FRME" in kinds else 0)
 
     def _arrivals(self) -> Iterator[Packet]:
-        open_ = list(self._connections)
-        heard_s = time.monotonic()
+        items: queue.Queue[_Item] = queue.Queue(_MOST_WAITING)
+
+        def put(item: _Item) -> None:
+            while not self._closed.is_set():
+                with contextlib.suppress(queue.Full):
+                    return items.put(item, timeout=HEARTBEAT_S)
+
+        for one in self._connections:
+            threading.Thread(target=one.read, args=(put,), daemon=True,
+                             name="pdavis dv connection").start()
+        open_, heard_s = len(self._connections), time.monotonic()
         while open_ and not self._closed.is_set():
-            # The first packets may have come together with the header.
-            for one in [*open_]:
-                for kind, payload in one.payloads():
-                    heard_s = time.monotonic()
-                    yield from self._packets(kind, payload, one.compression)
-                if one.ended:
-                    open_.remove(one)
-            if not open_:
-                break
-            known = [c.link for c in open_ if c.pending]
-            ready, _, _ = select.select(
-                [c.link for c in open_], [], [], 0 if known else HEARTBEAT_S)
-            ready += known
-            for one in [c for c in open_ if c.link in ready]:
-                one.receive()
-            if self._last_us is not None and not ready:
+            try:
+                item = items.get(timeout=HEARTBEAT_S)
+            except queue.Empty:
                 passed = int(1e6 * (time.monotonic() - heard_s)) - MARGIN_US
-                if passed > 0:
+                if self._last_us is not None and passed > 0:
                     yield from self._released(self._last_us + passed)
                     yield Packet(until_us=self._last_us + passed)
+                continue
+            if isinstance(item, DeviceError):
+                raise item
+            if item is None:
+                open_ -= 1
+                continue
+            heard_s = time.monotonic()
+            yield from self._packets(*item)
         yield from self._released(None)
 
     def _packets(
@@ -320,6 +279,8 @@ class DvSource(LiveSource):
         """Stop, and close the connections."""
         super().close()
         for one in self._connections:
+            with contextlib.suppress(OSError):      # not connected any more
+                one.link.shutdown(socket.SHUT_RDWR)     # wakes the thread that reads
             one.link.close()
 
 
