@@ -23,7 +23,6 @@ from setuptools.modified import newer_group
 KERNELS = (
     "_aedat2",
     "_aedat4",
-    "_aedat_write",
     "_aop_events",
     "_aps",
     "_build",

@@ -1,13 +1,7 @@
 """Compiled kernels (private); typed in pdavis_cv/_kernels.pyi."""
 # ruff: noqa: F401  listed in the last line
 from ._aedat2 import aedat2_words
-from ._aedat4 import (
-    aedat4_events,
-    aedat4_table_bytes,
-    aedat4_table_floats,
-    aedat4_table_times,
-)
-from ._aedat_write import pack_aedat2_events, pack_aedat4_events
+from ._aedat4 import aedat4_events, aedat4_table_fields
 from ._aop_events import aop_event_stokes
 from ._aps import cds, correct
 from ._build import DEBUG

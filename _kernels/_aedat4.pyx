@@ -1,6 +1,6 @@
 """AEDAT-4 payloads: event structs and vectors of tables."""
 from libc.stdint cimport int16_t, int32_t, int64_t, uint8_t, uint16_t, uint32_t
-from libc.string cimport memcpy
+from libc.string cimport memcpy, memset
 
 from _kernels._check cimport (
     BACKWARD, FILLED, FIRST_BAD, JUMP, LAST, OFFSET, STATE, far, take)
@@ -139,60 +139,28 @@ cdef inline Py_ssize_t field_at(const uint8_t* data, Py_ssize_t size,
     return table + relative
 
 
-def aedat4_table_times(const uint8_t[::1] data not None, Py_ssize_t at, int field,
-                       int64_t[::1] out not None):
-    """Read an int64 field of the tables whose offsets lie at byte at; return how many.
+def aedat4_table_fields(const uint8_t[::1] data not None, Py_ssize_t at, int field,
+                        uint8_t[:, :, ::1] out not None):
+    """Read fields from field on of the tables whose offsets lie at byte at.
 
-    Stops at the first table that lies outside data.
+    out receives the bytes of each table's fields, 0 for one that is not there.  Returns
+    the number of tables; stops at the first that lies outside data.
     """
-    cdef Py_ssize_t i = 0, n = out.shape[0], size = data.shape[0], place
-    if at < 0 or at > size or n > (size - at) // 4 or field < 0:
-        raise ValueError("aedat4_table_times: tables lie outside data")
-    with nogil:
-        while i < n:
-            place = field_at(&data[0], size, at + 4 * i, field, 8)
-            if place < 0:
-                break
-            out[i] = 0
-            if place > 0:
-                memcpy(&out[i], &data[place], 8)
-            i += 1
-    return i
-
-
-def aedat4_table_floats(const uint8_t[::1] data not None, Py_ssize_t at, int field,
-                        float[:, ::1] out not None):
-    """Read float32 fields from field on into the columns of out; return how many."""
     cdef Py_ssize_t i = 0, n = out.shape[0], size = data.shape[0], place = 0
     cdef Py_ssize_t j, columns = out.shape[1]
+    cdef int width = <int>out.shape[2]
     if at < 0 or at > size or n > (size - at) // 4 or field < 0:
-        raise ValueError("aedat4_table_floats: tables lie outside data")
+        raise ValueError("aedat4_table_fields: tables lie outside data")
     with nogil:
         while i < n:
             for j in range(columns):
-                place = field_at(&data[0], size, at + 4 * i, field + <int>j, 4)
+                place = field_at(&data[0], size, at + 4 * i, field + <int>j, width)
                 if place < 0:
                     break
-                out[i, j] = 0
+                memset(&out[i, j, 0], 0, width)
                 if place > 0:
-                    memcpy(&out[i, j], &data[place], 4)
+                    memcpy(&out[i, j, 0], &data[place], width)
             if place < 0:
                 break
-            i += 1
-    return i
-
-
-def aedat4_table_bytes(const uint8_t[::1] data not None, Py_ssize_t at, int field,
-                       uint8_t[::1] out not None):
-    """Read a one-byte field of the tables at byte at into out; return how many."""
-    cdef Py_ssize_t i = 0, n = out.shape[0], size = data.shape[0], place
-    if at < 0 or at > size or n > (size - at) // 4 or field < 0:
-        raise ValueError("aedat4_table_bytes: tables lie outside data")
-    with nogil:
-        while i < n:
-            place = field_at(&data[0], size, at + 4 * i, field, 1)
-            if place < 0:
-                break
-            out[i] = data[place] if place > 0 else 0
             i += 1
     return i

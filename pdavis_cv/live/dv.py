@@ -36,11 +36,7 @@ from pdavis_cv.recording.aedat4.container import (
     decompressed,
     parsed_header,
 )
-from pdavis_cv.recording.aedat4.flatbuffer import (
-    FlatBufferError,
-    PayloadError,
-    root_table,
-)
+from pdavis_cv.recording.aedat4.flatbuffer import PayloadError, root_table
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
 from pdavis_cv.recording.options import MAX_SIDE
 from pdavis_cv.recording.timeline import NEVER
@@ -226,7 +222,7 @@ class DvSource(LiveSource):
             elif kind == "TRIG":
                 yield from pieces(
                     Packet(triggers=_sorted(samples.triggers(data, table))))
-        except (PayloadError, FlatBufferError, samples.UnknownFrameError) as error:
+        except PayloadError as error:
             self._log.add("damage", None, f"a packet could not be read: {error}")
 
     def _of_events(

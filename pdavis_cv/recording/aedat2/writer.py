@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import _kernels
 from pdavis_cv._beside import clear
 from pdavis_cv.recording.aedat2.header import CHIP_SIZES, SOURCE
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, RecordingInfo
@@ -84,11 +83,7 @@ class Aedat2Writer(RecordingWriter):
         for frame in packet.frames:
             self._put_frame(frame)
         if len(packet.events):
-            words = np.empty((len(packet.events), 8), np.uint8)
-            _kernels.pack_aedat2_events(
-                np.ascontiguousarray(packet.events), self._origin, *self.sensor_size,
-                words)
-            self._put(packet.events["t"].astype(np.int64), words)
+            self._put_events(packet.events)
         if len(packet.imu):
             self._put_imu(packet.imu)
         if len(packet.triggers):
@@ -108,6 +103,13 @@ class Aedat2Writer(RecordingWriter):
         words[:, 0] = addresses
         words[:, 1] = ((times - self._origin) & 0xFFFFFFFF).astype(np.uint32)
         self._put(times, words.view(np.uint8))
+
+    def _put_events(self, events: NDArray[Any]) -> None:
+        height, width = self.sensor_size        # row 0 is the highest y, x is mirrored
+        y, x = (most - 1 - events[name].astype(np.uint32)
+                for name, most in (("y", height), ("x", width)))
+        self._put_words(events["t"].astype(np.int64),
+                        y << 22 | x << 12 | (events["p"] != 0).astype(np.uint32) << 11)
 
     def _put_frame(self, frame: ApsFrame) -> None:
         height, width = self.sensor_size

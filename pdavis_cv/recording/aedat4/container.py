@@ -14,14 +14,13 @@ from xml.etree import ElementTree
 import lz4.frame
 import numpy as np
 
-from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.aedat4 import samples
 from pdavis_cv.recording.aedat4.flatbuffer import (
-    FlatBufferError,
     PayloadError,
     Table,
     root_table,
+    table_fields,
 )
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.files import ProblemLog, clock_text
@@ -141,7 +140,7 @@ class Aedat4File:
             return False
         try:
             return self._take_index(self.reader.read(at, MAX_PAYLOAD))
-        except (PayloadError, FlatBufferError) as error:
+        except PayloadError as error:
             self.log.damage(
                 ("index", at), f"byte {at}: the index cannot be read ({error}); "
                 "packets are searched instead", offset=at)
@@ -155,17 +154,13 @@ class Aedat4File:
             payload = decompressed(payload, self.compression)
         table = root_table(payload, b"FTAB")
         at, count = table.vector(0, 4)
-        data = np.frombuffer(payload, np.uint8)
-        columns = np.zeros((5, count), np.int64)
-        for row, place in zip(columns, range(5), strict=True):
-            if _kernels.aedat4_table_times(data, at, place, row) != count:
-                raise FlatBufferError("an entry lies outside the table")
-        offset, header, number, start, stop = columns
+        offset, header, number, start, stop = table_fields(
+            payload, at, count, 0, np.int64, 5).T
         stream, size = header & 0xFFFFFFFF, header >> 32
         stream = stream.astype(np.int32).astype(np.int64)
         if not count:
             if self.table_position > self.data_start:
-                raise FlatBufferError("it is empty, but the file holds packets")
+                raise PayloadError("it is empty, but the file holds packets")
             return True
         # Offsets are those of the payload in DV, of the packet's header in jAER.
         first = int(offset.min()) - self.data_start
@@ -175,11 +170,11 @@ class Aedat4File:
         ends = (offset + size)[order]
         if first not in (0, 8) or np.any(
                 offset[order][1:] != ends[:-1] + 8) or ends[-1] != self.table_position:
-            raise FlatBufferError("its entries do not add up to the file")
+            raise PayloadError("its entries do not add up to the file")
         if not np.isin(stream, list(self.streams)).all():
-            raise FlatBufferError("it names a stream that the header does not")
+            raise PayloadError("it names a stream that the header does not")
         if np.any(number < 0):
-            raise FlatBufferError("it holds a negative number of elements")
+            raise PayloadError("it holds a negative number of elements")
         if not (number.any() or start.any() or stop.any()):
             return False  # some writers fill in the places only
         for i in order.tolist():
@@ -286,10 +281,7 @@ class Aedat4File:
 
     def _decoded(self, stream: int, raw: bytes) -> tuple[bytes, Table]:
         data = decompressed(memoryview(raw)[8:], self.compression)
-        try:
-            return data, root_table(data, self.streams[stream].kind.encode())
-        except FlatBufferError as error:
-            raise PayloadError(str(error)) from error
+        return data, root_table(data, self.streams[stream].kind.encode())
 
     def _moved(self, entry: Entry) -> tuple[bytes, Table]:
         """Search for a packet near its position in the index.
@@ -307,7 +299,7 @@ class Aedat4File:
                 data, table = self._decoded(
                     entry.stream, self.reader.read(at, entry.size + 8))
                 times = samples.span(self.streams[entry.stream].kind, data, table)
-            except (PayloadError, samples.UnknownFrameError):
+            except PayloadError:
                 continue
             if times == (entry.start_us, entry.stop_us):
                 self.log.damage(
@@ -342,7 +334,7 @@ def parsed_header(data: bytes) -> tuple[str, int, dict[int, Stream]]:
         code = table.scalar(0, "i")
         position = table.scalar(1, "q", -1)
         text = table.text(2)
-    except FlatBufferError as error:
+    except PayloadError as error:
         raise ValueError(f"the header is damaged: {error}") from error
     if not 0 <= code < len(COMPRESSIONS):
         raise ValueError(f"unknown compression {code}")

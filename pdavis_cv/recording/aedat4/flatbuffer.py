@@ -2,8 +2,14 @@
 from __future__ import annotations
 
 import struct
+from typing import Any
 
-__all__ = ["FlatBufferError", "PayloadError", "Table", "root_table"]
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from pdavis_cv import _kernels
+
+__all__ = ["PayloadError", "Table", "root_table", "table_fields"]
 
 _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
@@ -11,12 +17,8 @@ _I32 = struct.Struct("<i")
 _SCALARS = {code: struct.Struct("<" + code) for code in "bBhHiIqQf"}
 
 
-class FlatBufferError(ValueError):
-    """Raised when an offset or a size in a buffer is wrong."""
-
-
 class PayloadError(ValueError):
-    """Raised when a payload cannot be decompressed or decoded."""
+    """Raised when a payload cannot be decompressed, or an offset or size is wrong."""
 
 
 class Table:
@@ -65,7 +67,7 @@ class Table:
         at += _get(_U32, self._data, at)
         count = _get(_U32, self._data, at)
         if count * item > len(self._data) - at - 4:
-            raise FlatBufferError(
+            raise PayloadError(
                 f"a vector of {count} items of {item} bytes does not fit into "
                 f"{len(self._data)} bytes")
         return at + 4, count
@@ -81,20 +83,50 @@ def root_table(data: bytes | memoryview, identifier: bytes) -> Table:
 
     Raises
     ------
-    FlatBufferError
+    PayloadError
         If the size or the identifier is wrong.
     """
     size = _get(_U32, data, 0)
     if size > len(data) - 4:
-        raise FlatBufferError(f"it should hold {size + 4} bytes, but has {len(data)}")
+        raise PayloadError(f"it should hold {size + 4} bytes, but has {len(data)}")
     if data[8:12] != identifier:
-        raise FlatBufferError(
+        raise PayloadError(
             f"it should be {identifier.decode()}, but is {bytes(data[8:12])!r}")
     return Table(data, 4 + _get(_U32, data, 4))
 
 
+def table_fields(
+    data: bytes | memoryview, at: int, count: int, field: int, dtype: DTypeLike,
+    columns: int = 1,
+) -> NDArray[Any]:
+    """Return fields of the same type of a vector of tables, shape (count, columns).
+
+    Parameters
+    ----------
+    data : bytes or memoryview
+    at, count : int
+        Offset of the vector's items, and their number; see `Table.vector`.
+    field : int
+        The first of the fields.
+    dtype : dtype
+    columns : int
+        Number of fields.
+
+    Raises
+    ------
+    PayloadError
+        If a table lies outside the buffer.
+    """
+    out = np.zeros((count, columns), dtype)
+    if _kernels.aedat4_table_fields(
+            np.frombuffer(data, np.uint8), at, field,
+            out.view(np.uint8).reshape(count, columns, out.itemsize)) != count:
+        raise PayloadError("a table lies outside its packet")
+    return out
+
+
 def _get(code: struct.Struct, data: bytes | memoryview, at: int) -> int:
     if at < 0 or at + code.size > len(data):
-        raise FlatBufferError(f"offset {at} points outside {len(data)} bytes")
+        raise PayloadError(f"offset {at} points outside {len(data)} bytes")
     value: int = code.unpack_from(data, at)[0]
     return value

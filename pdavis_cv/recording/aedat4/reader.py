@@ -110,7 +110,7 @@ class Aedat4Recording(FileRecording):
         for entry in stream.entries[:8] if stream else ():
             try:
                 raw = samples.raw_frame(*self._file.table(entry))
-            except (PayloadError, samples.UnknownFrameError):
+            except PayloadError:
                 continue
             return samples.scale_of(raw.pixels)
         return None
@@ -186,7 +186,7 @@ class Aedat4Recording(FileRecording):
     def _frame_time(self, entry: Entry) -> int | None:
         try:
             raw = samples.raw_frame(*self._file.table(entry))
-        except (PayloadError, samples.UnknownFrameError):
+        except PayloadError:
             return entry.start_us
         return samples.exposure_times(raw.times, jaer=self._jaer)[2]
 
@@ -303,7 +303,7 @@ class Aedat4Recording(FileRecording):
             for entry in stream.entries:
                 try:
                     times = samples.span(kind, *self._file.table(entry))
-                except (PayloadError, samples.UnknownFrameError):
+                except PayloadError:
                     times = None  # reported when it is read
                 if times:
                     entry.start_us, entry.stop_us = times

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import _kernels
 from pdavis_cv.events import FAR
-from pdavis_cv.recording.aedat4.flatbuffer import FlatBufferError, PayloadError, Table
+from pdavis_cv.recording.aedat4.flatbuffer import PayloadError, Table, table_fields
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, ApsFrame
 
 __all__ = [
@@ -33,7 +32,7 @@ _PIXELS: dict[int, np.dtype[Any]] = {0: np.dtype("u1"), 2: np.dtype("<u2")}
 """Type of pixels by OpenCV's depth code."""
 
 
-class UnknownFrameError(ValueError):
+class UnknownFrameError(PayloadError):
     """Raised for a frame whose pixels have a type that no event camera uses."""
 
 
@@ -96,14 +95,10 @@ def raw_frame(data: bytes, table: Table) -> RawFrame:
     UnknownFrameError
         If the pixel type is not 8 or 16 bit unsigned with 1, 3 or 4 channels.
     """
-    try:
-        times = [table.scalar(i, "q") for i in range(5)]
-        code = table.scalar(5, "b")
-        width, height, x, y = (table.scalar(i, "h") for i in range(6, 10))
-        at, size = table.vector(10, 1)
-        times.append(table.scalar(11, "q"))
-    except FlatBufferError as error:
-        raise PayloadError(str(error)) from error
+    t, sof, eof, soe, eoe, exposure = (table.scalar(i, "q") for i in (*range(5), 11))
+    code = table.scalar(5, "b")
+    width, height, x, y = (table.scalar(i, "h") for i in range(6, 10))
+    at, size = table.vector(10, 1)
     depth, channels = code & 7, (code >> 3) + 1
     if depth not in _PIXELS or channels not in (1, 3, 4):
         raise UnknownFrameError(f"frame of OpenCV type {code}")
@@ -121,7 +116,6 @@ def raw_frame(data: bytes, table: Table) -> RawFrame:
         colour = bool(np.any(planes != planes[..., :1]))
         if colour:
             pixels = np.rint(planes.mean(2)).astype(dtype)
-    t, sof, eof, soe, eoe, exposure = times
     return RawFrame(pixels.reshape(height, width), x, y,
                     (t, sof, eof, soe, eoe, exposure), colour)
 
@@ -204,37 +198,26 @@ def aps_frame(
 
 def event_vector(table: Table) -> tuple[int, int]:
     """Return the offset of the events of an EVTS table, and their number."""
-    try:
-        return table.vector(0, 16)
-    except FlatBufferError as error:
-        raise PayloadError(str(error)) from error
+    return table.vector(0, 16)
 
 
 def imu_samples(data: bytes, table: Table) -> NDArray[Any]:
     """Return the samples of an IMUS table, shape (N,)."""
-    at, count = _vector(table)
+    at, count = table.vector(0, 4)
     samples = np.zeros(count, IMU_DTYPE)
-    raw = np.frombuffer(data, np.uint8)
-    times = np.zeros(count, np.int64)
-    values = np.zeros((count, 7), np.float32)
-    if (_kernels.aedat4_table_times(raw, at, 0, times) != count
-            or _kernels.aedat4_table_floats(raw, at, 1, values) != count):
-        raise PayloadError("an IMU sample lies outside its packet")
-    samples["t"], samples["temperature"] = times, values[:, 0]
+    values = table_fields(data, at, count, 1, np.float32, 7)
+    samples["t"] = table_fields(data, at, count, 0, np.int64)[:, 0]
+    samples["temperature"] = values[:, 0]
     samples["accel"], samples["gyro"] = values[:, 1:4], values[:, 4:7]
     return samples
 
 
 def triggers(data: bytes, table: Table) -> NDArray[Any]:
     """Return the samples of a TRIG table, shape (N,)."""
-    at, count = _vector(table)
+    at, count = table.vector(0, 4)
     samples = np.zeros(count, TRIGGER_DTYPE)
-    raw = np.frombuffer(data, np.uint8)
-    times, kinds = np.zeros(count, np.int64), np.zeros(count, np.uint8)
-    if (_kernels.aedat4_table_times(raw, at, 0, times) != count
-            or _kernels.aedat4_table_bytes(raw, at, 1, kinds) != count):
-        raise PayloadError("a trigger lies outside its packet")
-    samples["t"], samples["type"] = times, kinds
+    samples["t"] = table_fields(data, at, count, 0, np.int64)[:, 0]
+    samples["type"] = table_fields(data, at, count, 1, np.uint8)[:, 0]
     return samples
 
 
@@ -261,10 +244,3 @@ def span(kind: str, data: bytes, table: Table) -> tuple[int, int] | None:
                 int.from_bytes(data[at + 16 * count - 16:][:8], "little", signed=True))
     got = (imu_samples if kind == "IMUS" else triggers)(data, table)
     return (int(got["t"][0]), int(got["t"][-1])) if len(got) else None
-
-
-def _vector(table: Table) -> tuple[int, int]:
-    try:
-        return table.vector(0, 4)
-    except FlatBufferError as error:
-        raise PayloadError(str(error)) from error

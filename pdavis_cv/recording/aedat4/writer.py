@@ -12,7 +12,6 @@ import lz4.frame
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import _kernels
 from pdavis_cv._beside import clear
 from pdavis_cv.recording.aedat4.container import COMPRESSIONS, MAGIC
 from pdavis_cv.recording.aedat4.samples import EIGHT_BIT_DN, TEN_BIT_DN
@@ -35,6 +34,7 @@ _STREAMS = (("EVTS", "events", "Array of events (polarity ON/OFF)."),
 _VECTOR = struct.Struct("<II4s2xHHHiII")
 # vtable of 13 fields, then the table in the order of alignment.
 _FRAME = struct.Struct("<II4s15H2xi6q4hIbb2xI")
+_EVENT = np.dtype([("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "?"), ("pad", "V3")])
 _IMU = np.dtype([("back", "<i4"), ("t", "<i8"), ("values", "<f4", 10), ("pad", "<u4")])
 _IMU_VTABLE = struct.pack("<13H", 26, 52, 4, *range(12, 52, 4))
 _TRIGGER = np.dtype([("back", "<i4"), ("t", "<i8"), ("type", "u1"), ("pad", "V3")])
@@ -255,9 +255,11 @@ def _lz4(data: Any) -> bytes:
 
 
 def _events(events: NDArray[Any]) -> NDArray[Any]:
-    out = np.empty(32 + 16 * len(events), np.uint8)
+    out = np.zeros(32 + _EVENT.itemsize * len(events), np.uint8)
     _head(out, b"EVTS", len(events))
-    _kernels.pack_aedat4_events(np.ascontiguousarray(events), 32, out)
+    records = out[32:].view(_EVENT)
+    for name in "txyp":
+        records[name] = events[name]
     return out
 
 
