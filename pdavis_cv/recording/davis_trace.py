@@ -21,9 +21,11 @@ from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Packet, RecordingInfo
 from pdavis_cv.recording.davis import DavisDecoder, Orientation
 from pdavis_cv.recording.facts import stated
-from pdavis_cv.recording.files import FileRecording, ProblemLog
+from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.options import SourceOptions
-from pdavis_cv.recording.packetise import Batch, packetise
+from pdavis_cv.recording.packetise import Batch
+from pdavis_cv.recording.scratch import Scratch
+from pdavis_cv.recording.sequential import PiecewiseRecording
 from pdavis_cv.sensor import Sensor
 
 __all__ = ["MAGIC", "TraceRecording", "TraceWriter", "Transfer"]
@@ -117,7 +119,7 @@ class TraceWriter:
         self.close()
 
 
-class TraceRecording(FileRecording):
+class TraceRecording(PiecewiseRecording):
     """A recording in a file of `TraceWriter`; always read from its beginning."""
 
     def _open(self, options: SourceOptions) -> RecordingInfo:
@@ -147,22 +149,16 @@ class TraceRecording(FileRecording):
                 options, sensor_size=(height, width), sensor=Sensor.of_chip(name),
                 frame_times="time stamps", full_scale_dn=1023))
 
-    def packets(
-        self, start_us: int | None = None, stop_us: int | None = None
-    ) -> Iterator[Packet]:
-        """Iterate over the samples with start_us <= time < stop_us, in time order."""
-        return packetise(self._batches(stop_us), start_us, stop_us)
-
-    def _batches(self, stop_us: int | None) -> Iterator[Batch]:
+    def _pieces(self, start_us: int | None, memory: Scratch, *, frames: bool = True
+                ) -> Iterator[tuple[Batch, float]]:
+        """Yield the samples of each transfer."""
         # Each reading finds the same problems again; they are reported once.
         log = ProblemLog(str(self._path))
         decoder = DavisDecoder(self._info.sensor_size, self._orientation, log)
         for transfer in self._transfers():
             found = decoder.feed(transfer.data, transfer.host_s, lost=transfer.lost)
             for packet in found:
-                yield _batch(packet, decoder.time_us)
-            if stop_us is not None and decoder.time_us >= stop_us:
-                return
+                yield _batch(packet, decoder.time_us), 0.0
         for problem in log.problems:
             self._count(0, problem.kind, problem.count, problem.message)
 

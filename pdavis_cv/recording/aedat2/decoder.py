@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv.aps import cds
 from pdavis_cv.errors import DamagedFileWarning, RecordingError
-from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.aedat2.addresses import as_davis
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, ApsFrame
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.packetise import Batch
+from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.timeline import NEVER
 
 __all__ = ["CHUNK_WORDS", "Decoder", "ImuScale", "Mark"]
@@ -106,35 +106,22 @@ class Decoder:
         """The mark at the next chunk."""
         return Mark(self.chunk, int(self._state[BASE]), int(self._state[LAST]))
 
-    def batches(self) -> Iterator[Batch]:
-        """Yield the samples of each chunk."""
-        while (batch := self.next()) is not None:
+    def batches(self, memory: Scratch, *, frames: bool = True) -> Iterator[Batch]:
+        """Yield the samples of each chunk, or the events alone."""
+        while len(words := self._words()):
+            events = memory.room(min(len(words), CHUNK_WORDS))
+            found: list[ApsFrame] | None = [] if frames else None
+            self._state[EVENTS] = 0
+            self._decode(words, events, found)
+            batch = Batch(events[:int(self._state[EVENTS])],
+                          complete_us=int(self._state[LAST]))
+            if found is not None:
+                batch.frames, batch.imu = found, self._imu_samples()
+                batch.triggers = self._trigger_samples()
             yield batch
-
-    def next(self) -> Batch | None:
-        """Return the samples of the next chunk, None at the end of the file."""
-        words = self._words()
-        if not len(words):
-            return self._finish()
-        events = np.empty(min(len(words), CHUNK_WORDS), EVENT_DTYPE)
-        frames: list[ApsFrame] = []
-        self._state[EVENTS] = 0
-        self._decode(words, events, frames)
-        return Batch(
-            events[:int(self._state[EVENTS])], frames, self._imu_samples(),
-            self._trigger_samples(), int(self._state[LAST]))
-
-    def append_events(self, events: NDArray[Any], used: int) -> int | None:
-        """Append the next chunk's events after the first `used` ones of an array.
-
-        Returns the new number of events, None at the end of the file.
-        """
-        words = self._words()
-        if not len(words):
-            return None
-        self._state[EVENTS] = used
-        self._decode(words, events, None)
-        return int(self._state[EVENTS])
+        if frames and self._frame[SIGNALS]:     # the file ends inside a frame
+            yield Batch(frames=self._take_frame(self._reader.size, whole=False),
+                        complete_us=int(self._state[LAST]))
 
     def _words(self) -> NDArray[np.uint8]:
         """Return the next chunk, shape (N, 8), and the word after it."""
@@ -172,13 +159,6 @@ class Decoder:
 
     def _reader_done(self) -> None:
         self.chunk = 1 << 60
-
-    def _finish(self) -> Batch | None:
-        """Return the incomplete frame at the end of the file; None at the next call."""
-        if not self._frame[SIGNALS]:
-            return None
-        frames = self._take_frame(self._reader.size, whole=False)
-        return Batch(frames=frames, complete_us=int(self._state[LAST]))
 
     # Time ----------------------------------------------------------------------
 

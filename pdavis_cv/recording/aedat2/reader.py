@@ -4,26 +4,30 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.errors import RecordingError
-from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.aedat2.addresses import camera_of
-from pdavis_cv.recording.aedat2.decoder import Decoder, ImuScale, Mark
+from pdavis_cv.recording.aedat2.decoder import (
+    CHUNK_WORDS,
+    Decoder,
+    ImuScale,
+    Mark,
+)
 from pdavis_cv.recording.aedat2.header import (
     DVS128,
     SOURCE,
     bias_currents,
     read_header,
 )
-from pdavis_cv.recording.base import Packet, RecordingInfo
+from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, MEASURED, Fact, stated
-from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.options import SourceOptions
-from pdavis_cv.recording.packetise import Batch, cell_start, packetise
+from pdavis_cv.recording.packetise import Batch, cell_start
+from pdavis_cv.recording.scratch import Scratch
+from pdavis_cv.recording.sequential import PiecewiseRecording
 from pdavis_cv.recording.timeline import NEVER
 from pdavis_cv.sensor import Sensor
 
@@ -38,7 +42,7 @@ MAX_HEIGHT, MAX_WIDTH = 512, 1024
 _SERIAL = re.compile(r"[-_]([0-9A-F]{8}|\d{3,8})(?=[-_.]|$)")
 
 
-class Aedat2Recording(FileRecording):
+class Aedat2Recording(PiecewiseRecording):
     """A recording in AEDAT-2.0; see `open_recording`.
 
     Rows and columns are those of the image: row 0 at the top, no mirror.  IMU
@@ -149,38 +153,18 @@ class Aedat2Recording(FileRecording):
             global_shutter=self._header.global_shutter, scale=scale, mark=mark,
             quiet_us=quiet_us, strict=self._strict, dvs128=self._dvs128)
 
-    def packets(
-        self, start_us: int | None = None, stop_us: int | None = None
-    ) -> Iterator[Packet]:
-        """Iterate over the samples with start_us <= time < stop_us, in time order."""
-        return packetise(self._batches(start_us), start_us, stop_us)
-
-    def events(
-        self, start_us: int | None = None, stop_us: int | None = None
-    ) -> NDArray[Any]:
-        """Return the events of start_us <= time < stop_us as one array."""
-        if start_us is not None or stop_us is not None:
-            return super().events(start_us, stop_us)
-        # One event per word at most; pages that are never written take no memory.
-        events, used = np.empty(self.word_count, EVENT_DTYPE), 0
-        decoder = self._decoder(self._marks[0])
-        while (now := decoder.append_events(events, used)) is not None:
-            self._remember(decoder.mark)
-            used = now
-        self._complete = True
-        decoder.check_end()
-        return events[:used] if 2 * used > len(events) else events[:used].copy()
-
-    def _batches(self, start_us: int | None) -> Iterator[Batch]:
+    def _pieces(self, start_us: int | None, memory: Scratch, *, frames: bool = True
+                ) -> Iterator[tuple[Batch, float]]:
+        """Yield the samples of each chunk, and the share of the file read by then."""
         if start_us is None:
             mark, quiet = self._marks[0], NEVER
         else:
             mark = self._find(cell_start(start_us) - WARM_UP_US)
             quiet = NEVER if mark.chunk == 0 else cell_start(start_us)
         decoder = self._decoder(mark, quiet)
-        for batch in decoder.batches():
+        for batch in decoder.batches(memory, frames=frames):
             self._remember(decoder.mark)
-            yield batch
+            yield batch, min(decoder.chunk * CHUNK_WORDS / self.word_count, 1.0)
         self._complete = True
         decoder.check_end()
 
@@ -193,7 +177,7 @@ class Aedat2Recording(FileRecording):
         """Return the last mark before a time, reading further if needed."""
         if self._marks[-1].last < t_us and not self._complete:
             decoder = self._decoder(self._marks[-1], quiet_us=1 << 61)
-            for _ in decoder.batches():
+            for _ in decoder.batches(Scratch()):
                 self._remember(decoder.mark)
                 if decoder.mark.last >= t_us:
                     break
