@@ -355,3 +355,45 @@ def test_without_an_index_a_time_ahead_costs_itself_only(tmp_path):
     (found, *_), problems = read(tmp_path / "x")
     assert found["t"].tolist() == [t for t in times if t != 9_600]
     assert ("backward time", 1) in {(p.kind, p.count) for p in problems}
+
+
+def written(path, times, index=True, imu=()):
+    """Write events at some times, and IMU samples; return the file's bytes."""
+    events = np.zeros(len(times), pdavis_cv.EVENT_DTYPE)
+    events["t"] = times
+    samples = np.zeros(len(imu), pdavis_cv.IMU_DTYPE)
+    samples["t"] = imu
+    write_aedat4(path, recording_from_arrays(
+        events, sensor_size=(12, 16), imu=samples), compression="none")
+    data = path.read_bytes()
+    return bytearray(data if index else without_index(data))
+
+
+@pytest.mark.parametrize("index", [True, False])
+def test_one_time_far_back_is_dropped_and_moves_nothing(tmp_path, index):
+    times = 1_700_000_000_000_000 + 100 * np.arange(2000)
+    imu_times = times[::10] + 7
+    data = written(tmp_path / "x", times, index, imu=imu_times)
+    for t in (int(times[50]), int(imu_times[105])):
+        at = data.index(struct.pack("<q", t))
+        data[at:at + 8] = struct.pack("<q", t - (1 << 34))      # 4.8 hours
+    (tmp_path / "x").write_bytes(data)
+    (found, _, imu, _), problems = read(tmp_path / "x")
+    assert found["t"].tolist() == np.delete(times, 50).tolist()
+    assert imu["t"].tolist() == np.delete(imu_times, 105).tolist()
+    assert "segment" not in {p.kind for p in problems}
+
+
+@pytest.mark.parametrize("index", [True, False])
+def test_times_that_no_clock_has_end_in_a_dropped_event(tmp_path, index):
+    times = [(1 << 61) - 10, (1 << 61) - 9, (1 << 61) - 8]
+    data = written(tmp_path / "x", times, index)
+    far = struct.pack("<q", -(1 << 61) - 8_000_000)
+    for at in {data.index(struct.pack("<q", times[2])),
+               data.rindex(struct.pack("<q", times[0]))}:
+        if at != data.index(struct.pack("<q", times[0])):
+            data[at:at + 8] = far       # the event, and the index if there is one
+    (tmp_path / "x").write_bytes(data)
+    (found, *_), problems = read(tmp_path / "x")
+    assert found["t"].tolist() == times[:2]
+    assert ("backward time", 1) in {(p.kind, p.count) for p in problems}

@@ -110,9 +110,12 @@ class Clock:
             times += offset
             self.state[1] = times[-1]
             return keep, segments
-        for i, raw in enumerate(times.tolist()):
+        raws = times.tolist()
+        for i, raw in enumerate(raws):
             t = raw + int(self.state[2])
-            while self.last - t > SEGMENT_US and -FAR < t:
+            # One damaged time is no jump: the next goes on.
+            alone = i + 1 < len(raws) and raws[i + 1] + int(self.state[2]) >= self.last
+            while self.last - t > SEGMENT_US and -FAR < t and not alone:
                 t += self.jump(t)
                 segments.append(i)
             keep[i] = self.last <= t < FAR and t > -FAR

@@ -174,8 +174,8 @@ class Cursor:
             first.append(entries[i - 1].stop_us)
         if i + 1 < len(entries):
             last.append(entries[i + 1].start_us)
-        return (min((t for t in first if t is not None), default=NEVER),
-                max((t for t in last if t is not None), default=-NEVER))
+        return (max(min((t for t in first if t is not None), default=NEVER), NEVER),
+                min(max((t for t in last if t is not None), default=-NEVER), -NEVER))
 
     def _following(self) -> list[NDArray[np.int64]]:
         """Return the times of the next readable packets of events."""
