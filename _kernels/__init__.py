@@ -14,7 +14,6 @@ from ._demosaic import (
     bilinear_weighted,
     binned,
     reached,
-    superpixel,
 )
 from ._denoise import denoise_events, denoise_rates
 from ._elementwise import exp, mismatch, reconcile

@@ -9,28 +9,6 @@ from _kernels._weighted cimport (
     BORDER_SLOPE, check_weighted, variance_row, weighted_row, weighted_t)
 
 
-def superpixel(const pixel_t[:, ::1] mosaic not None,
-               const Py_ssize_t[::1] places not None,
-               float[:, :, ::1] out not None):
-    """Copy each 2x2 cell of mosaic (2h, 2w) into out (4, h, w), channel by channel.
-
-    places[c] is the place of channel c in the cell: 0 top left, 1 top right,
-    2 bottom left, 3 bottom right.
-    """
-    cdef Py_ssize_t h = out.shape[1], w = out.shape[2]
-    cdef Py_ssize_t c, y, x, dy, dx
-    if out.shape[0] != 4 or mosaic.shape[0] != 2 * h or mosaic.shape[1] != 2 * w:
-        raise ValueError("superpixel: mosaic must be (2h, 2w) and out (4, h, w)")
-    check_places(places)
-    with nogil:
-        for c in range(4):
-            dy = places[c] >> 1
-            dx = places[c] & 1
-            for y in range(h):
-                for x in range(w):
-                    out[c, y, x] = <float>mosaic[2 * y + dy, 2 * x + dx]
-
-
 def bilinear(const pixel_t[:, ::1] mosaic not None,
              const Py_ssize_t[::1] places not None, bint uncertain,
              float[::1] scratch not None,

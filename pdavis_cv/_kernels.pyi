@@ -91,7 +91,6 @@ __all__ = [
     "store_push",
     "store_unlink",
     "stream_events",
-    "superpixel",
     "texture_stokes",
     "tone_bgr",
     "voxel_planes",
@@ -306,9 +305,6 @@ def mismatch(
 def mix(quad: _F32, solution: _F32, out: _F32) -> None: ...
 def reconcile(quad: _F32, variance: _F32, null: _F32) -> None: ...
 def stokes(quad: _F32, gain: float, out: _F32) -> None: ...
-def superpixel(
-    mosaic: NDArray[_Pixel], places: NDArray[np.intp], out: _F32
-) -> None: ...
 def store_commit(
     store: NDArray[Any], at: int, stop: int, until: int, tracks: NDArray[Any],
 ) -> int: ...

@@ -130,7 +130,8 @@ def demosaic(
     if not mosaic.size:
         return out
     if method == "superpixel":
-        _kernels.superpixel(mosaic, places, out)
+        for channel, place in zip(out, places, strict=True):
+            channel[:] = mosaic[place // 2::2, place % 2::2]
     elif method == "binned":
         _kernels.binned(mosaic, places, scratch_rows(10, mosaic.shape[1]), out)
     elif method == "guided":

@@ -238,10 +238,6 @@ def test_the_kernels_check_sizes_themselves():
         kernels.bilinear(mosaic, places, False, scratch[:90], out)
     with pytest.raises(ValueError, match="permutation"):
         kernels.bilinear(mosaic, places + 1, False, scratch, out)
-    with pytest.raises(ValueError, match="permutation"):
-        kernels.superpixel(mosaic, places * 0, out[:, :2, :2].copy())
-    with pytest.raises(ValueError, match="superpixel: mosaic"):
-        kernels.superpixel(mosaic, places, out)
     with pytest.raises(ValueError, match="binned: mosaic"):
         kernels.binned(mosaic, places, scratch, out)
     with pytest.raises(ValueError, match="binned: scratch"):
