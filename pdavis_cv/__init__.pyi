@@ -96,7 +96,6 @@ from .reconstruct.base import (
     Reconstructor as Reconstructor,
 )
 from .reconstruct.cf import ComplementaryFilter as ComplementaryFilter
-from .reconstruct.deblur import deblur as deblur
 from .reconstruct.kalman import KalmanFilter as KalmanFilter
 from .reconstruct.methods import (
     DEFAULT_METHOD as DEFAULT_METHOD,

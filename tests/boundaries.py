@@ -242,8 +242,6 @@ def table():
         ("Layout", p.Layout, {"row0": (90, 45), "row1": (135, 0)}),
         ("recording_from_arrays", p.recording_from_arrays, {
             "events": events, "frames": (frame,), "sensor_size": SIZE}),
-        ("deblur", p.deblur, {"frame": frame, "events": events, "theta_on": 0.2,
-                              "theta_off": 0.2, "t_us": 50_000}),
         ("EventDenoiser", denoised, {
             "packet": events, "shape": SIZE, "window_us": 5000, "support": 1}),
         ("AopEvents", angles, {
