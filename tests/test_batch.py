@@ -466,8 +466,8 @@ def test_status_of_a_folder_without_results_says_so(tmp_path):
 
 @pytest.mark.parametrize(("changes", "words"), [
     ({"work": "dance"}, "work must be one of export, traces, score, calibrate"),
-    ({"executor": "slurm"}, "executor must be process, loky, dask"),
-    ({"executor": "os:nothing"}, "executor must be process, loky, dask"),
+    ({"executor": "slurm"}, "executor must be process, dask"),
+    ({"executor": "os:nothing"}, "executor must be process, dask"),
     ({"retries": -1}, "retries must be at least 0"),
     ({"workers": 0}, "workers at least 1"),
     ({"timeout_s": 0.0}, "timeout_s must be positive")])
@@ -526,7 +526,7 @@ def test_the_command_tells_what_failed(tmp_path, capsys):
     (["--work", "dance"], "--work must be one of"),
     (["--work", "os:nothing"], "--work os:nothing"),
     (["--with", "colour=red"], "--with colour: export has start_s, stop_s, suffix"),
-    (["--executor", "slurm"], "executor must be process, loky")])
+    (["--executor", "slurm"], "executor must be process, dask")])
 def test_the_command_refuses_in_one_line(words, message, three, tmp_path, capsys):
     assert main(["batch", three[0], "-o", str(tmp_path / "out"), *words]) == 2
     error = capsys.readouterr().err

@@ -188,25 +188,14 @@ def content(out):
             if "/" in name}
 
 
-@pytest.mark.parametrize("executor", ["loky", "dask"])
-def test_any_executor_gives_the_same_files(executor, many, tmp_path):
-    pytest.importorskip({"dask": "distributed"}.get(executor, executor))
-    for name in (None, executor):
+def test_dask_gives_the_same_files(many, tmp_path):
+    pytest.importorskip("distributed")
+    for name in (None, "dask"):
         table = run(many[:6], tmp_path / str(name), work="export", executor=name,
                     workers=2)
         assert not table.failed
-    assert content(tmp_path / "None") == content(tmp_path / executor)
-    assert len(content(tmp_path / executor)) == 12
-
-
-def test_loky_survives_a_process_that_dies(many, tmp_path):
-    pytest.importorskip("loky")
-    bad = tmp_path / "bad.aedat4"
-    bad.write_bytes(many[0].read_bytes() + b"\0")
-    table = run([*many[:3], bad, *many[3:6]], tmp_path / "out",
-                work=batch_works.deadly, executor="loky", workers=2)
-    assert [row["state"] for row in table] == [
-        "done", "done", "done", "failed", "done", "done", "done"]
+    assert content(tmp_path / "None") == content(tmp_path / "dask")
+    assert len(content(tmp_path / "dask")) == 12
 
 
 def test_200_jobs_that_are_done_take_less_than_a_second(many, tmp_path):

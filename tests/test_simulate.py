@@ -92,7 +92,7 @@ def test_background_and_flicker_reach_the_recording(tmp_path):
 
 
 @pytest.mark.parametrize(("arguments", "said"), [
-    (["polarizer", "-o", "x.bin"], "the name must end in .aedat4 or .aedat"),
+    (["polarizer", "-o", "x.bin"], "the name must end in .aedat4, .aedat"),
     (["polarizer", "-o", "x.aedat4", "--size", "400x300"], "--size must lie within"),
     (["dr", "-o", "x.aedat4", "--light", "3"], "sets its own light"),
     (["polarizer", "-o", "x.aedat4", "--background", "-1"], "must not be negative"),

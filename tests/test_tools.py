@@ -587,15 +587,6 @@ def test_a_recording_is_replaced_by_force_only_and_never_by_its_own_images(
     assert e2p.read_bytes() == old
 
 
-def test_axial_difference_is_symmetric_and_periodic():
-    rng = np.random.default_rng(0)
-    a, b = rng.uniform(0, np.pi, (2, 100))
-    d = demo.axial_difference(a, b)
-    np.testing.assert_allclose(d, demo.axial_difference(b, a + np.pi), atol=1e-12)
-    np.testing.assert_allclose(np.cos(2 * d), np.cos(2 * (a - b)), atol=1e-12)
-    assert np.all((d >= 0) & (d <= np.pi / 2))
-
-
 def test_the_samples_index_without_counts_is_not_believed():
     with pdavis_cv.open_recording(SAMPLE) as recording:
         assert recording.info.event_count is None

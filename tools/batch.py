@@ -101,8 +101,6 @@ def _parser() -> argparse.ArgumentParser:
         "--parquet", action="store_true", help="also write summary.parquet")
     parser.add_argument(
         "--dry-run", action="store_true", help="only print what would be done")
-    parser.add_argument(
-        "--resume", action="store_true", help="has no effect: runs always continue")
     add_json_option(parser)
     add_source_options(parser)
     return parser

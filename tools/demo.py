@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv import PolarFrame, Recording, aop, export, fuse, render
 from pdavis_cv._opencv import opencv
-from pdavis_cv.analysis import Roi, TraceRecorder
+from pdavis_cv.analysis import Roi, TraceRecorder, axial_difference
 from pdavis_cv.data import example_recording
 from pdavis_cv.render import ToneCurve
 from pdavis_cv.simulation import Camera, RotatingPolarizer, Truth, example_truth
@@ -29,7 +29,7 @@ from . import export as export_tool, fan as fan_tool
 from ._common import Parser, add_json_option, command, for_people, stage, tell
 from ._options import opened
 
-__all__ = ["axial_difference", "main", "mean_aop"]
+__all__ = ["main", "mean_aop"]
 
 METHODS = ("frames", "kalman")
 _FAN = ("--fps", "100", "--slow", "5", "--scale", "4", "--start", "0.25",
@@ -165,8 +165,8 @@ def _polarizer(path: Path) -> dict[str, float]:
         strips[method] = np.array([
             mean_aop(frame) if usable else np.nan
             for frame, usable in zip(images, seen, strict=True)])
-        errors[method] = error = float(np.rad2deg(np.mean(
-            axial_difference(strips[method], strips["truth"])[seen])))
+        errors[method] = error = float(np.rad2deg(np.mean(np.abs(
+            axial_difference(strips[method], strips["truth"])[seen]))))
         titles[method] = f"{method}: mean error {error:.1f} degrees"
         _say(f"polarizer at {RPM} RPM, {method}: AoP error {error:.1f} degrees")
     shown = -(_SHOWN_US // _STEP_US)
@@ -191,13 +191,6 @@ def _real(folder: Path) -> int:
 def mean_aop(frame: PolarFrame) -> float:
     """Return the angle of the mean S1, S2 of an image's usable pixels, radians."""
     return float(aop(frame.s1[frame.valid].mean(), frame.s2[frame.valid].mean()))
-
-
-def axial_difference(
-    a: NDArray[np.float64], b: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the absolute difference of axial angles, radians, 0..pi/2."""
-    return np.abs((a - b + np.pi / 2) % np.pi - np.pi / 2)
 
 
 if __name__ == "__main__":

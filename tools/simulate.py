@@ -12,9 +12,8 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-import pdavis_cv
-from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.passing import passing
+from pdavis_cv.recording.registry import writer_for
 from pdavis_cv.sensor import Sensor
 from pdavis_cv.simulation import (
     DEFAULT_CAMERA,
@@ -57,6 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             background=args.background, flicker_hz=args.flicker, camera=args.camera)
     except ValueError as error:
         raise UsageError(str(error)) from None
+    _, write = writer_for(args.out)
     sensor = Sensor.SONY if args.camera == "sony" else Sensor.PDAVIS
     size = args.size or (Sensor.PDAVIS.size if args.scene in _WHOLE else _REGION)
     if size[0] > sensor.size[0] or size[1] > sensor.size[1]:
@@ -72,15 +72,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError("AEDAT-2.0 is for event cameras; use a .aedat4 file")
     checked_out(args.out, recording=True, force=args.force)
     stream = camera.stream(scene, args.seconds, run=args.run, threads=args.threads)
-    _write(args.out, passing(stream, lambda packets: progress_in_time(
+    missing = write(args.out, passing(stream, lambda packets: progress_in_time(
         packets, 0, round(args.seconds * 1e6))))
     truth = Path(f"{os.fspath(args.out)}.truth.npz")
     stream.truth().save(truth)
     lost = int(stream.truth().bus_lost.sum())
-    lines = [f"wrote {args.out} and {truth}"]
+    lines = [f"wrote {args.out} and {truth}",
+             *(f"not kept: {count:,} {what}" for what, count in missing.items())]
     if lost:
         lines.append(f"the read-out bus lost {lost} events")
-    tell(args, lines, wrote=[args.out, truth], bus_lost=lost)
+    tell(args, lines, wrote=[args.out, truth], not_kept=missing, bus_lost=lost)
     return 0
 
 
@@ -141,15 +142,6 @@ def _parser() -> argparse.ArgumentParser:
         "--flicker", type=positive, metavar="HZ",
         help="mains frequency of the lamp, 50 or 60: it flickers at twice that")
     return parser
-
-
-def _write(path: Path, recording: Recording) -> None:
-    if path.suffix == ".aedat4":
-        pdavis_cv.write_aedat4(path, recording)
-    elif path.suffix == ".aedat":
-        pdavis_cv.write_aedat2(path, recording)
-    else:
-        raise UsageError(f"{path}: the name must end in .aedat4 or .aedat")
 
 
 def _size(text: str) -> tuple[int, int]:

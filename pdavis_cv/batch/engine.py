@@ -73,7 +73,7 @@ def run(
         your own, which writes files into `folder` and returns figures for the table,
         or None.
     executor : str, Executor or callable, optional
-        ``"process"`` (default), ``"loky"``, ``"dask"`` (a cluster on this machine),
+        ``"process"`` (default), ``"dask"`` (a cluster on this machine),
         ``"dask:tcp://HOST:PORT"`` or ``"MODULE:FUNCTION"``; a
         `concurrent.futures.Executor`; or a function that makes one, which is called
         again if it breaks.

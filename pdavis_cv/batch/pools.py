@@ -11,7 +11,7 @@ from pdavis_cv._workers import usable_cores
 
 __all__ = ["EXECUTORS", "Pool", "pool_factory"]
 
-EXECUTORS = "process, loky, dask, dask:tcp://HOST:PORT or MODULE:FUNCTION"
+EXECUTORS = "process, dask, dask:tcp://HOST:PORT or MODULE:FUNCTION"
 """The texts that `pool_factory` accepts, for error messages."""
 _UNKNOWN = 32
 """Number of workers assumed for an executor that does not tell it."""
@@ -57,8 +57,6 @@ def pool_factory(
         return lambda: given.pop() if given else _process_pool(count)
     if callable(executor):
         return lambda: _executor_pool(executor(), workers)
-    if executor == "loky":
-        return lambda: _loky_pool(count)
     if executor == "dask":
         return lambda: _dask_pool(None, count)
     kind, _, rest = executor.partition(":")
@@ -91,20 +89,6 @@ def _executor_pool(executor: Executor, workers: int | None) -> Pool:
         executor.shutdown(wait=not at_once, cancel_futures=at_once)
 
     return Pool(executor, workers or _workers_of(executor), close)
-
-
-def _loky_pool(count: int) -> Pool:
-    try:
-        loky: Any = importlib.import_module("loky")
-    except ImportError as error:
-        raise ImportError(
-            "executor loky needs the extra [batch]: pip install loky") from error
-    executor: Executor = loky.get_reusable_executor(max_workers=count, reuse=False)
-
-    def close(at_once: bool) -> None:
-        executor.shutdown(wait=True, kill_workers=at_once)  # type: ignore[call-arg]
-
-    return Pool(executor, count, close)
 
 
 def _dask_pool(address: str | None, workers: int | None) -> Pool:
