@@ -292,11 +292,6 @@ class PolarFrame(Advises):
         return self._usable
 
     @property
-    def given_valid(self) -> NDArray[np.bool_] | None:
-        """The given `valid`, without the condition S0 > 0; None if none was given."""
-        return self._valid
-
-    @property
     def sigma_aop(self) -> NDArray[np.float32] | None:
         """Standard deviation of AoP in radians, shape (H, W); None without variance.
 

@@ -17,8 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.registry import Registry
 
-__all__ = ["GROUPS", "INTENSITY", "QUANTITIES", "Quantity", "chosen", "plane",
-           "quantity"]
+__all__ = ["GROUPS", "INTENSITY", "QUANTITIES", "Quantity", "chosen", "quantity"]
 
 INTENSITY = "DN/ms"
 """Unit of intensities; 1 in their range is full scale of the converter."""
@@ -205,25 +204,3 @@ def chosen(names: Sequence[str]) -> tuple[Quantity, ...]:
         if one.of_events:
             raise ValueError(f"{one.name} needs {one.needs}")
     return tuple(found)
-
-
-def plane(frame: PolarFrame, name: str) -> NDArray[Any]:
-    """Return a quantity of an image, as `Quantity.of` does.
-
-    Parameters
-    ----------
-    frame : PolarFrame
-        The image.
-    name : str
-        A name in ``QUANTITIES`` or an alias, in any case.
-
-    Returns
-    -------
-    ndarray of float32 or the quantity's dtype, shape (H, W)
-
-    Raises
-    ------
-    ValueError
-        If there is no such quantity, or the method does not provide it.
-    """
-    return quantity(name).of(frame)

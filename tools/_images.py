@@ -23,7 +23,7 @@ from pdavis_cv import (
 from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.fusion.grid import grid_count, grid_us
-from pdavis_cv.quantities import plane
+from pdavis_cv.quantities import quantity
 
 from ._common import UsageError, covered
 
@@ -87,10 +87,10 @@ def of_frames(options: dict[str, Any], settings: list[tuple[str, Any]]
 
 
 def tone_of(
-    recording: Recording, options: dict[str, Any], quantity: str, count: int = 6
+    recording: Recording, options: dict[str, Any], name: str, count: int = 6
 ) -> render.ToneCurve:
-    """Fit a tone curve to some images, evenly spread over an export."""
-    times = options["times_us"]
+    """Fit a tone curve to a quantity of some images, evenly spread over an export."""
+    times, shown = options["times_us"], quantity(name)
     # The first image may lie before the first frame has been read out.
     chosen = times[np.linspace(len(times) // 4, len(times) - 1, count).astype(int)]
     images = list(fuse(recording, **{**options, "times_us": np.unique(chosen)}))
@@ -98,9 +98,9 @@ def tone_of(
     top = full_scale(recording)
     if usable:
         return render.ToneCurve.of(
-            [plane(image, quantity) for image in usable],
+            [shown.of(image) for image in usable],
             [image.valid for image in usable], saturated=top and top / 2)
-    if top is None or not any((plane(image, quantity) >= top / 2).any()
+    if top is None or not any((shown.of(image) >= top / 2).any()
                               for image in images):
         method = str(images[0].provenance["method"])
         raise UsageError(

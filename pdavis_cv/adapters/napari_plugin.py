@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv.fusion import fuse
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.quantities import INTENSITY, QUANTITIES, plane
+from pdavis_cv.quantities import INTENSITY, QUANTITIES
 from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.open import open_recording
 from pdavis_cv.render import aop_bgr
@@ -115,7 +115,7 @@ def _layers(fused: Iterable[PolarFrame]) -> list[Layer]:
     if not images:
         raise ValueError("no image lies in that part of the recording")
     planes = {name: np.stack([
-        np.where(image.valid, plane(image, name), np.nan) for image in images])
+        np.where(image.valid, QUANTITIES[name].of(image), np.nan) for image in images])
         for name in _QUANTITIES}
     times = [image.t_us or 0 for image in images]
     step = float(np.median(np.diff(times))) / 1e6 if len(times) > 1 else 1.0

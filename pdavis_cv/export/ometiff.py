@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
 from pdavis_cv._types import Facts, Image
 from pdavis_cv.export.embedded import to_json
-from pdavis_cv.export.stacks import HEADER, StackFile
+from pdavis_cv.export.stacks import StackFile
 
 __all__ = ["OmeTiffFile", "tifffile", "write_maps"]
 
@@ -38,30 +39,17 @@ class OmeTiffFile(StackFile):
         self._tifffile = tifffile()
         super().__init__(*arguments, **options)
 
-    def _finish(self) -> Path:
-        shape = (self.count, len(self.quantities), *(self.shape or (0, 0)))
-        stack = np.memmap(self.unfinished, np.dtype("<f4"), "r", HEADER, shape)
-        part = self.part
-        try:
-            with self._tifffile.TiffWriter(
-                    part, bigtiff=stack.nbytes > _CLASSIC_END, byteorder="<",
-                    ome=True) as file:
-                file.write(
-                    (np.ascontiguousarray(stack[t, c]) for t in range(shape[0])
-                     for c in range(shape[1])),
-                    shape=shape, dtype="<f4", photometric="minisblack",
-                    compression="zlib", compressionargs={"level": _LEVEL},
-                    metadata=self._metadata(), **self._resolution())
-        except BaseException:
-            part.unlink(missing_ok=True)
-            raise
-        finally:
-            # Unmap before the file is removed; the array would keep it open.
-            stack._mmap.close()  # type: ignore[attr-defined]
-        return part
-
-    def _resolution(self) -> dict[str, Any]:
-        return _resolution(self.pixel_um)
+    def _finish(self, part: Path, stack: NDArray[np.float32]) -> None:
+        count, channels = stack.shape[:2]
+        with self._tifffile.TiffWriter(
+                part, bigtiff=stack.nbytes > _CLASSIC_END, byteorder="<",
+                ome=True) as file:
+            file.write(
+                (np.ascontiguousarray(stack[t, c]) for t in range(count)
+                 for c in range(channels)),
+                shape=stack.shape, dtype="<f4", photometric="minisblack",
+                compression="zlib", compressionargs={"level": _LEVEL},
+                metadata=self._metadata(), **_resolution(self.pixel_um))
 
     def _metadata(self) -> dict[str, Any]:
         first, channels = self.times_us[0], len(self.quantities)

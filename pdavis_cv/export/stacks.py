@@ -11,15 +11,15 @@ from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pdavis_cv._beside import Place, sole
+from pdavis_cv._beside import Place, sole, write_beside
 from pdavis_cv.export.embedded import to_json
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import chosen
 
 __all__ = ["StackFile"]
 
-HEADER = 16  # bytes before the first plane: space for either TIFF header
 
 
 class StackFile(ABC):
@@ -80,7 +80,6 @@ class StackFile(ABC):
         self._place = Place(self.path)
         self.resume = resume and not self._place.takes_bytes
         beside = self._place.beside
-        self.part = beside.with_name(f".{beside.name}.part")
         self.unfinished = beside.with_name(f".{beside.name}.unfinished")
         self._log_path = beside.with_name(f".{beside.name}.unfinished.log")
         self._identity = hashlib.sha256(to_json(
@@ -90,7 +89,6 @@ class StackFile(ABC):
             sole(self._log, self.path)
             if not (self.resume and self._continue()):
                 self._data: BinaryIO = self.unfinished.open("wb")
-                self._data.write(bytes(HEADER))
                 self._log.truncate(0)
                 self._log.write(self._identity)
         except BaseException:   # an interrupt may come at any of these lines
@@ -128,13 +126,13 @@ class StackFile(ABC):
         if log[:32] != self._identity or len(known) < 3 or np.any(known[:2] <= 0):
             return False
         self.shape = (int(known[0]), int(known[1]))
-        whole = min(len(known) - 2, (size - HEADER) // self._image_bytes)
+        whole = min(len(known) - 2, size // self._image_bytes)
         if whole < 1:
             self.shape = None
             return False
         self.times_us = [int(t) for t in known[2:2 + whole]]
         self._data = self.unfinished.open("r+b")
-        self._data.truncate(HEADER + whole * self._image_bytes)
+        self._data.truncate(whole * self._image_bytes)
         self._data.seek(0, os.SEEK_END)
         self._log.truncate(32 + 16 + 8 * whole)
         return True
@@ -192,8 +190,8 @@ class StackFile(ABC):
             raise
 
     @abstractmethod
-    def _finish(self) -> Path:
-        """Make the final file from the data, under a temporary name; return that."""
+    def _finish(self, part: Path, stack: NDArray[np.float32]) -> None:
+        """Write the final file from the data, (T, quantity, H, W)."""
 
     def close(self) -> None:
         """Complete the file and give it its name.
@@ -211,15 +209,14 @@ class StackFile(ABC):
             raise ValueError(f"{self.path}: no image to write")
         with self._named():
             self._data.flush()
-            whole = self._finish()
-            try:
-                self._place.put(whole)
-            except BaseException as error:
-                if whole != self.unfinished:    # which --resume continues
-                    whole.unlink(missing_ok=True)
-                if isinstance(error, OSError):
-                    error.filename = str(self.path)
-                raise
+        stack = np.memmap(self.unfinished, np.dtype("<f4"), "r", shape=(
+            self.count, len(self.quantities), *(self.shape or (0, 0))))
+        try:
+            with write_beside(self.path) as part:
+                self._finish(part, stack)
+        finally:
+            # Unmap before the file is removed; the array would keep it open.
+            stack._mmap.close()  # type: ignore[attr-defined]
         self.discard()
 
     def discard(self) -> None:
