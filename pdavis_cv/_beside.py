@@ -179,16 +179,15 @@ class Unfinished:
             raise OSError(said if str(self.path) in said else f"{self.path}: {said}"
                           ) from error
 
-    def finish(self) -> None:
-        """Give the file its final name."""
+    def finish(self, whole: Path | None = None) -> None:
+        """Give the file, or one in the folder that was made in its place, its name."""
         with self.named():
-            self._place.put(self.part)
+            self._place.put(whole or self.part)
         self._place.close()
 
     def discard(self) -> None:
         """Remove what was written, if it has not been renamed."""
-        with contextlib.suppress(OSError):
-            self.part.unlink()
+        _remove(self.part)
         self._place.close()
 
 
@@ -204,8 +203,13 @@ def clear(path: str | os.PathLike[str]) -> None:
     """
     path = Path(os.path.realpath(path))
     for name in _left_behind(os.path.abspath(path.parent)).get(path.stem, ()):
-        with contextlib.suppress(OSError):
-            path.with_name(name).unlink()
+        _remove(path.with_name(name))
+
+
+def _remove(path: Path) -> None:
+    """Remove a file or folder if it is there and can be removed."""
+    with contextlib.suppress(OSError):
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 @functools.cache   # a series of pictures would list the folder for each picture

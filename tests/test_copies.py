@@ -21,7 +21,7 @@ SIZE = (260, 346)
 
 
 def copy(recording, folder, kind):
-    path = folder / f"copy-{kind}"
+    path = folder / f"copy-{kind}{FORMATS[kind].written[0]}"
     writer_for(path, kind)[1](path, recording)
     return open_recording(path)
 

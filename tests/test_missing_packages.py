@@ -43,6 +43,9 @@ COMMANDS = {
         ("export", "{in}", "-o", "{out}.npy", "--method", "firenet", *LAYOUT), ()),
     "convert": (("convert", "{in}", "{out}.aedat4"), ()),
     "convert to HDF5": (("convert", "{in}", "{out}.h5"), ("h5py",)),
+    "convert to a bag": (("convert", "{in}", "{out}.mcap"), ("rosbags",)),
+    "export to a bag": (
+        ("export", "{in}", "-o", "{out}.mcap", *LAYOUT), ("cv2", "rosbags")),
     "convert to Parquet": (("convert", "{in}", "{out}.parquet"), ("pyarrow",)),
     "convert to zstd": (
         ("convert", "{in}", "{out}.aedat4", "--compression", "zstd"), ("zstandard",)),

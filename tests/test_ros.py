@@ -396,7 +396,7 @@ def test_without_the_library_one_line_says_what_to_install(
     from pdavis_cv.tools.main import main
     assert main(["info", str(tmp_path / "x.bag")]) == 2
     assert capsys.readouterr().err == (
-        "pdavis: ROS bags need a package: pip install rosbags\n")
+        "pdavis: ROS bags need a package: pip install rosbags (extra [ros])\n")
 
 
 @pytest.mark.parametrize("damage", ["size", "first count", "last time"])

@@ -59,7 +59,8 @@ def _parser() -> argparse.ArgumentParser:
         "--format", metavar="NAME", help="format, if the suffix does not determine it: "
         + ", ".join(name for name, one in FORMATS.usable().items() if one.writer))
     parser.add_argument("--encoding", metavar="NAME", help="how events are encoded: "
-                        "evt3 (default) or evt2 in RAW")
+                        "evt3 (default) or evt2 in RAW; event_camera_msgs (default) or "
+                        "dvs_msgs in a bag")
     parser.add_argument("--compression", choices=("lz4", "none", "zstd"),
                         help="compression of AEDAT-4; default lz4")
     add_source_options(parser)

@@ -4,7 +4,8 @@ The suffix of OUT determines the output: .webm (browsers play it), .mp4 (H.264, 
 slide programs play, where PyAV has an encoder, else VP9), .mkv and .avi a colour video;
 .webp and .gif the same for slides; .png pictures and .pdf or .svg figures for print,
 numbered if there are several; .npy float arrays (AoP in radians); .ome.tif, .h5 and
-.npz stacks with names, units, times and provenance, which --resume can continue.  With
+.npz stacks with names, units, times and provenance, which --resume can continue; .mcap
+and .db3 ROS 2 bags with the quantities as 32FC1 images and a colour picture.  With
 --lossless, .mkv or .avi hold one quantity in 16 bits (FFV1).  Times, units and scales
 of these and of .npy are written to a .json file next to it.
 """
@@ -48,6 +49,7 @@ __all__ = ["Sheet", "main"]
 
 _STACKS: dict[str, type[export.StackFile]] = {
     ".tif": export.OmeTiffFile, ".h5": export.Hdf5File, ".npz": export.NpzFile}
+_BAGS = (".mcap", ".db3")
 _COLOUR = (".webm", ".mp4", ".m4v", ".mkv", ".avi", *export.ANIMATIONS)
 _PLANE = (".mkv", ".avi")
 _LEAST_WIDTH = 240      # of a panel: below, captions do not fit
@@ -62,10 +64,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     suffix = args.out.suffix.lower()
     if args.what == "aop-events":
         return _aop_events(args, suffix)
-    if suffix not in (*_COLOUR, *export.FIGURES, ".npy", *_STACKS):
+    if suffix not in (*_COLOUR, *export.FIGURES, ".npy", *_STACKS, *_BAGS):
         raise UsageError(
             f"-o must end in {', '.join((*_COLOUR, *export.FIGURES))}, .npy, "
-            f"{', '.join(_STACKS)}, got {args.out}")
+            f"{', '.join((*_STACKS, *_BAGS))}, got {args.out}")
     if figure(args) and find_spec("matplotlib") is None:
         raise UsageError("a figure needs matplotlib: pip install matplotlib")
     if args.resume and suffix not in _STACKS:
@@ -107,6 +109,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             lines, facts = _write_arrays(args, frames, recording)
         elif suffix in _STACKS:
             lines, facts = _write_stack(args, frames, recording, first[0])
+        elif suffix in _BAGS:
+            lines, facts = _write_bag(args, frames, recording, first[0])
         elif suffix in export.FIGURES:
             lines, facts = _write_pictures(
                 args, frames, Sheet(args, recording, first[0]), single=len(first) == 1)
@@ -458,6 +462,20 @@ def _write_video(
             f"{sheet.unit}")
     return [line], {"wrote": [args.out], "images": video.count, "playing_fps": rate,
                     "codec": video.codec, "white": sheet.white}
+
+
+def _write_bag(
+    args: argparse.Namespace, frames: Iterator[PolarFrame], recording: Recording,
+    first: PolarFrame,
+) -> tuple[list[str], dict[str, Any]]:
+    sheet = Sheet(args, recording, first)
+    facts = export.provenance(first.provenance, recording, units=export.units(
+        args.quantities, recording))
+    with export.BagFile(args.out, args.quantities, first.shape, facts) as bag:
+        for frame in frames:
+            bag.add(frame, sheet.picture(frame))
+    return [f"wrote {args.out}: {bag.count} images of {', '.join(args.quantities)} and "
+            "a picture, as messages"], {"wrote": [args.out], "images": bag.count}
 
 
 def _write_pictures(

@@ -9,6 +9,7 @@ from .aop_events import (
     read_aop_events as read_aop_events,
 )
 from .arrays import ArrayFile as ArrayFile
+from .bag import BagFile as BagFile
 from .embedded import (
     light_unit as light_unit,
     provenance as provenance,

@@ -14,8 +14,8 @@ from pdavis_cv._beside import clear
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import Packet, Recording
 from pdavis_cv.recording.parquet import METADATA, pyarrow
-from pdavis_cv.recording.prophesee import EVT2, EVT3, FALLING, RISING
-from pdavis_cv.recording.writer import RecordingWriter, source_text
+from pdavis_cv.recording.prophesee import EVT2, EVT3, RISING
+from pdavis_cv.recording.writer import RecordingWriter, edges_of, source_text
 
 __all__ = ["write_es", "write_numpy", "write_parquet", "write_raw", "write_text"]
 
@@ -91,10 +91,7 @@ class _RawWriter(_EventWriter):
             "% end\n".encode())
 
     def _put(self, events: NDArray[Any], triggers: NDArray[Any]) -> None:
-        edges = np.isin(triggers["type"], (RISING, FALLING))
-        if other := len(edges) - np.count_nonzero(edges):
-            self._lost["triggers that are not external edges"] += int(other)
-            triggers = triggers[edges]
+        triggers = edges_of(triggers, self._lost)
         if not len(events) + len(triggers):
             return
         t = np.concatenate((events["t"], triggers["t"])).astype(np.int64)

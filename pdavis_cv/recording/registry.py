@@ -85,7 +85,9 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
         suffixes=(".bag", ".db3", ".mcap"), folder="metadata.yaml",
         magic=(b"#ROSBAG V2.0", b"SQLite format 3\0", b"\x89MCAP0\r\n"),
         holds=frozenset(("events", "frames", "triggers")),
-        reader=f"{_ROOM}.rosbag:RosRecording"),
+        reader=f"{_ROOM}.rosbag:RosRecording",
+        writer=f"{_ROOM}.bag_writer:write_rosbag", written=(".mcap", ".db3"),
+        write_options=("encoding",)),
     Format(
         name="text", title="events as lines of text", holds=_EVENTS,
         suffixes=(".csv", ".txt"), sniff=f"{_ROOM}.text_form:is_text_events",

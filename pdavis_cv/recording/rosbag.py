@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
+from pdavis_cv.recording.aedat4.samples import EIGHT_BIT_DN, TEN_BIT_DN
 from pdavis_cv.recording.base import ApsFrame, RecordingInfo
 from pdavis_cv.recording.event_packets import ENCODINGS, trigger
 from pdavis_cv.recording.facts import stated
@@ -36,7 +37,7 @@ from pdavis_cv.recording.timeline import (
     possible_range,
 )
 
-__all__ = ["RosRecording"]
+__all__ = ["COPIED", "EXPOSURE", "IMAGES", "ROS2_EVENTS", "RosRecording", "rosbags"]
 
 HORIZON_US = 500_000
 """Longest time by which events and images of a bag may be out of order."""
@@ -48,6 +49,10 @@ EVENT_ARRAYS = frozenset(f"{package}/msg/EventArray" for package in (
 EVENT_PACKETS = frozenset((
     "event_camera_msgs/msg/EventPacket", "event_array_msgs/msg/EventArray"))
 IMAGES = "sensor_msgs/msg/Image"
+REFERENCE, TEXT = "sensor_msgs/msg/TimeReference", "std_msgs/msg/String"
+COPIED, EXPOSURE = "source_facts", "exposure"
+"""Names of the topics in which a bag of this library says what is known of its source,
+and begin, end and arrival of each frame."""
 _READ = ("mono", "libcaer", "libcaer_cmp", "evt3", "trigger")
 """Encodings of events in packets that are read."""
 _STORES = {b"SQLite format 3": ".db3", b"\x89MCAP0\r\n": ".mcap"}
@@ -55,10 +60,21 @@ _STORES = {b"SQLite format 3": ".db3", b"\x89MCAP0\r\n": ".mcap"}
 # Bytes of an event, and offsets in it of x, y, seconds, nanoseconds, polarity.
 _ROS1 = 13, np.array([0, 2, 4, 8, 12])
 # CDR aligns numbers: padding precedes the seconds, except in the first event.
-_ROS2 = 16, np.array([0, 2, 6, 10, 14])
+ROS2_EVENTS = 16, np.array([0, 2, 6, 10, 14])
 _GAP = 2
-_GREY = {"mono8": ("u1", 255), "8UC1": ("u1", 255), "mono16": ("u2", 65535),
-         "16UC1": ("u2", 65535)}
+_GREY = {"mono8": ("u1", 1, 255), "8UC1": ("u1", 1, 255),
+         "mono16": ("u2", 1, 65535), "16UC1": ("u2", 1, 65535)}
+"""Dtype, DN of a step, and full scale in DN of images, by their encoding."""
+
+
+def rosbags() -> tuple[Any, Any]:
+    """Return the modules rosbags.rosbag1 and rosbags.rosbag2."""
+    try:
+        from rosbags import rosbag1, rosbag2
+    except ImportError:
+        raise ImportError(
+            "ROS bags need a package: pip install rosbags (extra [ros])") from None
+    return rosbag1, rosbag2
 
 
 class _Message:
@@ -104,10 +120,14 @@ class _Message:
         """Return the time of a std_msgs/Header in ns."""
         if not self._cdr:
             self.number("I")  # seq
-        seconds = self.number("i" if self._cdr else "I")
-        nanoseconds = self.number("I")
+        stamp = self.stamp()
         self.text()
-        return seconds * 1_000_000_000 + nanoseconds
+        return stamp
+
+    def stamp(self) -> int:
+        """Return a time in ns."""
+        seconds = self.number("i" if self._cdr else "I")
+        return seconds * 1_000_000_000 + self.number("I")
 
     def size(self) -> tuple[int, int]:
         """Return (height, width)."""
@@ -119,7 +139,7 @@ class _Message:
     def events(self) -> tuple[NDArray[np.uint8], int, int, int, NDArray[np.int64], int]:
         """Return the location of a sequence of dvs_msgs/Event, for `ros_events`."""
         count, at, data = self.number("I"), self._at, self.data
-        size, places = _ROS2 if self._cdr else _ROS1
+        size, places = ROS2_EVENTS if self._cdr else _ROS1
         shift = _GAP if self._cdr else 0
         if self._cdr:
             at += -(at - 4) % 4 - _GAP
@@ -158,17 +178,15 @@ class RosRecording(PiecewiseRecording):
     """
 
     def _open(self, options: SourceOptions) -> RecordingInfo:
-        try:
-            from rosbags import rosbag1, rosbag2
-        except ImportError:
-            raise ImportError(
-                "ROS bags need a package: pip install rosbags") from None
+        rosbag1, rosbag2 = rosbags()
         self._cdr = self._is_ros2()
         self._kind: Any = (rosbag2 if self._cdr else rosbag1).Reader
         try:
             with self._kind(self._path) as bag:
                 self._encodings = self._found_encodings(bag, options.camera)
-                self._topics = self._choose(bag.connections, options.camera)
+                copied = self._first_text(bag)
+                self._topics = self._choose(
+                    bag.connections, options.camera, copied is not None)
                 size = self._size_of(bag)
                 self._message_count = sum(
                     c.msgcount for c in bag.connections
@@ -181,14 +199,20 @@ class RosRecording(PiecewiseRecording):
         kinds = {self._role(topic, kind) for topic, kind in self._topics}
         triggers = {"evt3", "trigger"} & {
             self._encodings.get(topic) for topic, _ in self._topics}
+        known = stated(options, copied, sensor_size=size,
+                       frame_times="time stamps" if "images" in kinds else None)
+        self._scales = dict(_GREY)
+        if copied is not None:      # as in AEDAT-4: 8 bits are the upper ones of 10
+            ten = known.get("full_scale_dn")
+            self._scales = {"mono8": ("u1", 4, ten or EIGHT_BIT_DN),
+                            "mono16": ("u2", 1, ten or TEN_BIT_DN)}
         return RecordingInfo(
             format=f"ROS {2 if self._cdr else 1} bag",
-            camera=", ".join(sorted(topic for topic, _ in self._topics)), **stated(
-                options, sensor_size=size,
-                frame_times="time stamps" if "images" in kinds else None),
+            camera=", ".join(sorted(topic for topic, _ in self._topics)), **known,
             frame_count=None if "images" in kinds else 0, imu_count=0,
             trigger_count=None if triggers else 0,
-            event_count=None if "events" in kinds else 0, wall_clock_us=0,
+            event_count=None if "events" in kinds else 0,
+            wall_clock_us=0 if copied is None else None,
             header={"encodings": dict(self._encodings)})
 
     def _is_ros2(self) -> bool:
@@ -241,16 +265,29 @@ class RosRecording(PiecewiseRecording):
         """Return whether a topic has events, triggers or images, None for others."""
         if kind == IMAGES:
             return "images"
+        if kind == REFERENCE and topic.endswith(f"/{EXPOSURE}"):
+            return "exposures"
         if kind not in EVENT_ARRAYS | EVENT_PACKETS:
             return None
         return "triggers" if self._encodings.get(topic) == "trigger" else "events"
 
-    def _choose(self, connections: Sequence[Any], camera: str | None
+    def _first_text(self, bag: Any) -> str | None:
+        """Return what the bag says of its source, if this library wrote it."""
+        for one in bag.connections:
+            if one.topic.endswith(f"/{COPIED}") and one.msgtype == TEXT:
+                with closing(bag.messages([one])) as messages:
+                    for _, _, data in messages:
+                        with suppress(ValueError, struct.error):
+                            return _Message(data, self._cdr).text()
+        return None
+
+    def _choose(self, connections: Sequence[Any], camera: str | None, copied: bool
                 ) -> set[tuple[str, str]]:
         """Return (topic, type) of the events, the triggers and the images."""
         known = {(c.topic, c.msgtype): self._role(c.topic, c.msgtype)
                  for c in connections if camera is None or camera in c.topic}
-        known = {key: role for key, role in known.items() if role is not None}
+        known = {key: role for key, role in known.items()
+                 if role is not None and (copied or role != "exposures")}
         for what in ("events", "images", "triggers"):
             topics = sorted({topic for (topic, _), role in known.items()
                              if role == what})
@@ -307,6 +344,7 @@ class RosRecording(PiecewiseRecording):
         clocks = {name: Clock(timeline) for name in ("events", "frames", "triggers")}
         words = WordStream(3, self._info.sensor_size)
         promised = NEVER
+        exposures: dict[int, tuple[int, int, int]] = {}
         both = len(self._topics) > 1
         messages = self._messages()
         ahead = deque(islice(messages, LOOK_AHEAD))
@@ -320,7 +358,10 @@ class RosRecording(PiecewiseRecording):
                 message = _Message(data, self._cdr)
                 if kind == IMAGES:
                     batch.frames = self._frame(
-                        message, clocks["frames"], number, promised)
+                        message, clocks["frames"], number, promised, exposures)
+                elif kind == REFERENCE:
+                    start, end = message.header() // 1000, message.stamp() // 1000
+                    exposures[start + end >> 1] = start, end, int(message.text())
                 elif kind in EVENT_ARRAYS:
                     message.header()
                     message.size()
@@ -369,20 +410,20 @@ class RosRecording(PiecewiseRecording):
     def _lost(self, error: Exception) -> None:
         self._log.damage("end", f"the bag cannot be read further: {error}", offset=0)
 
-    def _frame(self, message: _Message, clock: Clock, number: int, promised: int
-               ) -> list[ApsFrame]:
+    def _frame(self, message: _Message, clock: Clock, number: int, promised: int,
+               exposures: dict[int, tuple[int, int, int]]) -> list[ApsFrame]:
         t = np.array([message.header() // 1000], np.int64)
         size = message.size()
         encoding = message.text()
         big = message.number("B")
         step = message.number("I")
         data = message.block()
-        if size != self._info.sensor_size or encoding not in _GREY:
+        if size != self._info.sensor_size or encoding not in self._scales:
             self._count(number, "wrong image", 1, f"images are {size[1]}x{size[0]} "
                         f"{encoding}, not grey or not the sensor's size",
                         unit="message")
             return []
-        kind, full = _GREY[encoding]
+        kind, factor, full = self._scales[encoding]
         dtype = np.dtype((">" if big else "<") + kind)
         if step < size[1] * dtype.itemsize or len(data) < step * size[0]:
             raise ValueError(f"{len(data)} bytes for {size[0]} rows of {step}")
@@ -393,7 +434,14 @@ class RosRecording(PiecewiseRecording):
             self._count(number, "backward time", 1, "images were dropped because time "
                         "ran backward", unit="message")
             return []
-        return [ApsFrame(image, int(t[0]), int(t[0]), full_scale_dn=full)]
+        mid = int(t[0])
+        start, end, ready = exposures.pop(mid, (mid, mid, None))
+        if start + end >> 1 != mid or (ready or end) < end:
+            raise ValueError(f"an exposure from {start} to {end} us, read at {ready}")
+        dn = image * np.float32(factor)
+        valid = None if factor == 1 and full in (255, 65535) else dn < full
+        return [ApsFrame(dn, start, end, full_scale_dn=full, available_us=ready,
+                         valid=None if valid is None or valid.all() else valid)]
 
     def _array(self, message: _Message, clock: Clock, memory: Scratch, number: int,
                ahead: Iterable[tuple[str, str, bytes]]) -> NDArray[Any]:

@@ -9,13 +9,17 @@ from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Self
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pdavis_cv._beside import Unfinished
 from pdavis_cv.recording.base import Packet, RecordingInfo
 from pdavis_cv.recording.facts import text_of
+from pdavis_cv.recording.prophesee import FALLING, RISING
 
-__all__ = ["RecordingWriter", "source_text"]
+__all__ = ["RecordingWriter", "edges_of", "source_text"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -149,3 +153,11 @@ class RecordingWriter(ABC):
 def source_text(info: RecordingInfo) -> str:
     """Return what is known of a recording, as the header of a copy holds it."""
     return text_of(info.facts, info.demosaic, info.biases)
+
+
+def edges_of(triggers: NDArray[Any], lost: Counter[str]) -> NDArray[Any]:
+    """Return the rising and falling edges among triggers; count the others as lost."""
+    edges = triggers[np.isin(triggers["type"], (RISING, FALLING))]
+    if len(edges) < len(triggers):
+        lost["triggers that are not external edges"] += len(triggers) - len(edges)
+    return edges

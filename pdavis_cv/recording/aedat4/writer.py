@@ -263,10 +263,25 @@ def _events(events: NDArray[Any]) -> NDArray[Any]:
     return out
 
 
-def _frame(
+def stored_pixels(
     frame: ApsFrame, bits: int, note: Callable[[str, int], None]
-) -> bytes:
-    """Return the FlatBuffer of a frame; report what it cannot hold to `note`."""
+) -> tuple[NDArray[Any], int, int]:
+    """Return a frame's image as it is stored, and one time of its exposure for all.
+
+    Parameters
+    ----------
+    frame : ApsFrame
+    bits : {8, 16}
+        Of 8, a step is 4 DN.
+    note : callable
+        Called with what cannot be held, and its number, which may be 0.
+
+    Returns
+    -------
+    image : ndarray of uint8 or uint16, shape (H, W)
+    start_us, end_us : int
+        Exposure.
+    """
     step, most = (4, 255) if bits == 8 else (1, 65_535)
     values = np.rint(frame.dn / np.float32(step))
     low = int(np.count_nonzero(values < 0))
@@ -286,7 +301,16 @@ def _frame(
     start, end = frame.mid_us - half, frame.mid_us + half
     if not starts.ndim and not ends.ndim:
         start, end = int(starts), int(ends)
-    pixels = clipped.astype("u1" if bits == 8 else "<u2").tobytes()
+    return clipped.astype("u1" if bits == 8 else "<u2"), start, end
+
+
+def _frame(
+    frame: ApsFrame, bits: int, note: Callable[[str, int], None]
+) -> bytes:
+    """Return the FlatBuffer of a frame; report what it cannot hold to `note`."""
+    image, start, end = stored_pixels(frame, bits, note)
+    pixels = image.tobytes()
+    starts = np.asarray(frame.exposure_start_us)
     height, width = frame.shape
     body = _FRAME.pack(
         _FRAME.size - 4 + len(pixels), 40, b"FRME",
