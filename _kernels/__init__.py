@@ -31,18 +31,21 @@ from ._increments import (
     increments_commit,
     increments_drop,
     increments_push,
+    increments_rest,
     increments_weigh,
 )
 from ._increments_frames import (
-    increments_around,
     increments_back,
     increments_close,
     increments_differ,
-    increments_mean,
     increments_node,
     increments_pass,
 )
-from ._increments_read import increments_image, increments_move
+from ._increments_read import (
+    increments_image,
+    increments_move,
+    increments_rest_planes,
+)
 from ._lamp import lamp_push, lamp_wave
 from ._leaky import (
     cf_frame,

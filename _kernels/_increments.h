@@ -24,6 +24,10 @@
 
 /* Constants of the filter: times, gates, hot pixels (docs/theory/kalman.md). */
 #define PD_NEVER ((int64_t)1 << 62)
+/* Of a pixel's planes: out of date; and those of a pixel whose events say nothing of
+   the time since the frame before, which its samples alone decide. */
+#define PD_CHANGED (-PD_NEVER)
+#define PD_QUIET (PD_CHANGED - 1)
 #define PD_GATE 16.0            /* squared sigmas beyond which a frame starts anew */
 #define PD_CLAIM 0.5            /* as CLAIM_SHARE ... HOT_SAMPLES of _hot.pxd */
 #define PD_SHOWN 0.25
@@ -211,6 +215,66 @@ PDAVIS_INLINE double drift_of(const around_t *a, const camera_t *c, double *rate
         return 0.0;
     *rate = a->drift * moves(a->gap, c) / a->gap;
     return *rate * a->since;
+}
+
+/* ln light at t (us) that is still, and its variance, from the frames before and after
+   (at m0 and m1; a variance < 0: none) and what is common to both.  (13) */
+PDAVIS_INLINE void at_rest(
+    double t, float ahead, float p_ahead, float behind, float p_behind,
+    double common, double extra, double m0, double m1, double alpha, double *log,
+    double *variance)
+{
+    int before = p_ahead >= 0.0f, after = p_behind >= 0.0f, both = before && after;
+    double v1 = p_ahead + alpha * fabs(1e-6 * (t - m0));
+    double v2 = p_behind + alpha * fabs(1e-6 * (m1 - t));
+    double all = v1 + v2 - 2.0 * common, u = (v1 - common) / all;
+    u = u < 0.0 ? 0.0 : u > 1.0 ? 1.0 : u;
+    *log = both ? ahead + u * (behind - ahead) : before ? ahead : after ? behind : 0.0;
+    v1 = both ? v1 + u * (u * all - 2.0 * (v1 - common)) : before ? v1 : v2;
+    *variance = before || after ? extra + v1 : PD_UNKNOWN;
+}
+
+/* Its planes (see `show_row`), times from an epoch: from the frame before to the one
+   after, or as from either. */
+PDAVIS_INLINE void rest_planes(
+    float ahead, float p_ahead, float behind, float p_behind, double common,
+    double extra, double m0, double m1, double epoch, double alpha,
+    float *restrict level, float *restrict slope, float *restrict variance,
+    float *restrict grows, float *restrict bends)
+{
+    int before = p_ahead >= 0.0f, after = p_behind >= 0.0f;
+    double t0 = before || !after ? m0 : m1 - 1e6, t1 = after ? m1 : t0 + 1e6;
+    double j0, j1, v0, v1, seconds, since = 1e-6 * (epoch - t0), bend, rate;
+    t1 = t1 > t0 + 1e3 ? t1 : t0 + 1e3;
+    at_rest(t0, ahead, p_ahead, behind, p_behind, common, extra, m0, m1, alpha,
+            &j0, &v0);
+    at_rest(t1, ahead, p_ahead, behind, p_behind, common, extra, m0, m1, alpha,
+            &j1, &v1);
+    seconds = 1e-6 * (t1 - t0);
+    rate = (j1 - j0) / seconds;
+    *slope = (float)rate;
+    *level = (float)(j0 + rate * since);
+    /* v1 v2 / (v1 + v2) is a parabola, as v1 grows as fast as v2 falls. */
+    bend = -alpha * alpha
+           / (p_ahead + p_behind - 2.0 * common + alpha * 1e-6 * (m1 - m0));
+    bend = before && after ? bend : 0.0;
+    rate = (v1 - v0) / seconds - bend * seconds;
+    *bends = (float)bend;
+    *grows = (float)(rate + 2.0 * bend * since);
+    *variance = (float)(v0 + since * (rate + since * bend));
+}
+
+/* The same of a row of pixels, whose planes hold ahead, behind and their variances. */
+PDAVIS_CLONES PDAVIS_UNUSED static void rest_row(
+    const double *restrict m0, const double *restrict m1, double epoch, double alpha,
+    ptrdiff_t n, float *restrict level, float *restrict slope,
+    float *restrict variance, float *restrict grows, float *restrict bends)
+{
+    ptrdiff_t i;
+    for (i = 0; i < n; i++)
+        rest_planes(level[i], variance[i], slope[i], grows[i], 0.0, 0.0, m0[i], m1[i],
+                    epoch, alpha, level + i, slope + i, variance + i, grows + i,
+                    bends + i);
 }
 
 /* A row of an image: planes (level at the epoch, its slope, variance, its slope and

@@ -7,6 +7,8 @@ cdef extern from "_increments.h" nogil:
     const int LAGS
     const double PER_TURN "PER_TURN_2"
     const int64_t NEVER "PD_NEVER"
+    const int64_t CHANGED "PD_CHANGED"
+    const int64_t QUIET "PD_QUIET"
     const double GATE "PD_GATE"
     const double CLAIM "PD_CLAIM"
     const double SHOWN "PD_SHOWN"
@@ -40,6 +42,16 @@ cdef extern from "_increments.h" nogil:
     double silent_variance(const silence_t* of_, double x)
     double goes_on(double gap, const camera_t* c)
     double drift_of(const around_t* a, const camera_t* c, double* rate)
+    void at_rest(double t, float ahead, float p_ahead, float behind, float p_behind,
+                 double common, double extra, double m0, double m1, double alpha,
+                 double* log, double* variance)
+    void rest_planes(float ahead, float p_ahead, float behind, float p_behind,
+                     double common, double extra, double m0, double m1, double epoch,
+                     double alpha, float* level, float* slope, float* variance,
+                     float* grows, float* bends)
+    void rest_row(const double* m0, const double* m1, double epoch, double alpha,
+                  Py_ssize_t n, float* level, float* slope, float* variance,
+                  float* grows, float* bends)
     void show_row(const float* level, const float* slope, const float* variance,
                   const float* grows, const float* bends,
                   float since, float ripple, float most, Py_ssize_t n, float* log,
@@ -77,19 +89,18 @@ cdef struct stored_t:
 cdef struct pixel_t:
     stored_t at             # the last one committed, and its index in the store
     stored_t newest         # the last one fed, and its index
+    int64_t quiet_t         # see increments_rest; NEVER: none
     int32_t at_index, newest_index
     int32_t next            # index of the first one after `at`, -1: none
-    int32_t flags           # LISTED, CHANGED
 
 # A pixel at the middle of a frame's exposure.
 cdef struct node_t:
     double mean             # ln of the mean of exp of all changes so far, with the lead
     double[2] light         # means of the changes by OFF and ON events
-    int64_t open_t          # the event of the silence that is open at its end, 0: none
+    int64_t open_t          # the event of the silence that is open at its end, NEVER:
+                            # none, 0: the pixel's quiet_t
     int64_t around_t        # the same at the longest lag after its middle
     float open_variance     # thresholds^2, in the middle
-    float around            # what other times and pixels said since the frame before
-    float log, variance     # of the sample: ln DN/ms; 0: not usable
 
 # A pixel's estimate at the last frame that it has passed.
 cdef struct anchor_t:
@@ -102,7 +113,6 @@ cdef struct anchor_t:
 
 # What a read needs of a pixel until its events or frames change.
 cdef struct shown_t:
-    int64_t until           # us: up to which the planes hold it
     int64_t last, next      # times of the events around, next: 2^62 if there is none
     float ahead, behind     # ln(I + black) at the last event, from frames before, after
     float p_ahead, p_behind  # their variances, without what grows with time
@@ -157,8 +167,6 @@ cdef enum:
     HOT = 4
     FLICKERS = 8
     LEARN_EVENTS = 3            # events between two frames from which gains are learned
-    LISTED = 1                  # flags of pixel_t: in the list; `shown_t` is out of
-    CHANGED = 2                 # date
     LEVEL = 0                   # planes, as show_row takes them
     SLOPE = 1
     VARIANCE = 2

@@ -10,27 +10,29 @@ are those of OFF and of ON events.  docs/theory/kalman.md has the equations.
 from libc.stdint cimport int32_t, int64_t
 
 from _kernels._increments cimport (
-    CHANGED, LISTED, before_it, camera_of, camera_t, context_of, pixel_t, step_of,
-    stored_t, weight)
+    CHANGED, NEVER, PRIOR_ODDS, QUIET, RESTS, anchor_t, before_it, camera_of, camera_t,
+    context_of, pixel_t, step_of, stored_t, weight)
 from _kernels._types cimport event_t
 
 
 def increments_push(const event_t[::1] events not None, int64_t last, int64_t first,
                     Py_ssize_t at, stored_t[::1] store not None,
                     pixel_t[:, ::1] pixels not None, const double[::1] camera not None,
-                    int32_t[::1] moving not None, Py_ssize_t listed):
+                    int64_t[:, ::1] due not None, int32_t[::1] awake not None,
+                    Py_ssize_t woken):
     """Append events to store from index `at`; return how many were taken, and the
-    length of the list `moving` of pixels that may move, which was `listed`.
+    length of the list `awake` of pixels that are not quiet, which was `woken`.
 
     Stops at the first event off the sensor or out of order.  first is the time of the
-    first of all events, us: the gap before a pixel's first event begins there.
+    first of all events, us: the gap before a pixel's first event begins there.  due is
+    as in `increments_move`.
     """
     cdef Py_ssize_t i, n = events.shape[0], h = pixels.shape[0], w = pixels.shape[1]
     cdef const camera_t* c = camera_of(camera)
     cdef pixel_t* p
     cdef stored_t* e
     cdef int32_t index
-    if at < 0 or at + n > store.shape[0]:
+    if at < 0 or at + n > store.shape[0] or due.shape[0] != h or due.shape[1] != w:
         raise ValueError("increments_push: store must have room for the events")
     with nogil:
         for i in range(n):
@@ -51,12 +53,12 @@ def increments_push(const event_t[::1] events not None, int64_t last, int64_t fi
                 store[p.newest_index].next = index
             if p.next < 0:
                 p.next = index
-            list_pixel(p, e.pixel, moving, &listed)
+            wake(&due[events[i].y, events[i].x], e.pixel, awake, &woken)
             p.newest = e[0]
             p.newest_index = index
         else:
             i = n
-    return i, listed
+    return i, woken
 
 
 cdef inline void add(stored_t* e, const stored_t* old, int64_t first,
@@ -82,26 +84,28 @@ cdef inline void sum_up(stored_t* e, const double* light, const double* count,
     e.count[on] += passed
 
 
-cdef inline void list_pixel(pixel_t* p, int32_t index, int32_t[::1] moving,
-                            Py_ssize_t* n) noexcept nogil:
-    """Mark a pixel as changed, and append it to the list if it is not in it."""
-    if not p.flags & LISTED and n[0] < moving.shape[0]:
-        moving[n[0]] = index
+cdef inline void wake(int64_t* due, int32_t index, int32_t[::1] awake,
+                      Py_ssize_t* n) noexcept nogil:
+    """Let the planes of a pixel be out of date, and append it to those not quiet."""
+    if due[0] == QUIET and n[0] < awake.shape[0]:
+        awake[n[0]] = index
         n[0] += 1
-    p.flags = LISTED | CHANGED
+    due[0] = CHANGED
 
 
 def increments_commit(const stored_t[::1] store not None, Py_ssize_t at,
                       Py_ssize_t stop, int64_t until, pixel_t[:, ::1] pixels not None,
-                      int32_t[::1] moving not None, Py_ssize_t listed):
+                      int64_t[:, ::1] due not None, int32_t[::1] awake not None,
+                      Py_ssize_t woken):
     """Let stored events from index `at` on with t <= until be their pixels' last ones.
 
-    Returns the index of the first one left, and the length of the list `moving`.
+    Returns the index of the first one left, and the length of the list `awake`.
     """
     cdef Py_ssize_t i = at
     cdef pixel_t* all_ = &pixels[0, 0]
     cdef pixel_t* p
-    if at < 0 or stop > store.shape[0]:
+    if (at < 0 or stop > store.shape[0] or due.shape[0] != pixels.shape[0]
+            or due.shape[1] != pixels.shape[1]):
         raise ValueError("increments_commit: no such events")
     with nogil:
         while i < stop and store[i].t <= until:
@@ -109,9 +113,74 @@ def increments_commit(const stored_t[::1] store not None, Py_ssize_t at,
             p.at = store[i]
             p.at_index = <int32_t>i
             p.next = store[i].next
-            list_pixel(p, store[i].pixel, moving, &listed)
+            wake(&due[0, 0] + store[i].pixel, store[i].pixel, awake, &woken)
             i += 1
-    return i, listed
+    return i, woken
+
+
+def increments_rest(stored_t[::1] store not None, int64_t known, int64_t oldest,
+                    pixel_t[:, ::1] pixels not None,
+                    const anchor_t[:, ::1] anchors not None,
+                    const double[::1] camera not None, int64_t[:, ::1] due not None,
+                    int32_t[::1] awake not None, Py_ssize_t woken,
+                    int32_t[::1] rested not None):
+    """Let sums begin anew at events that are their pixels' last ones up to `known`, and
+    after which light was still at `oldest` (us).
+
+    Without a later event, and unless it is hot, such a pixel is quiet, as is one
+    without any event: its nodes count as 0, with the silence since quiet_t.  rested
+    receives the pixels of either kind.  Returns how many, and the length of the list
+    `awake`.  As it goes by `known`, sums do not depend on packets.
+    """
+    cdef Py_ssize_t i, n = 0, left = 0, size = pixels.shape[0] * pixels.shape[1]
+    cdef const camera_t* c = camera_of(camera)
+    cdef const stored_t* last
+    cdef stored_t* e
+    cdef pixel_t* p
+    cdef int32_t at, k
+    cdef bint anew, quiet
+    if (rested.shape[0] < woken or awake.shape[0] < woken
+            or due.shape[0] != pixels.shape[0] or due.shape[1] != pixels.shape[1]
+            or anchors.shape[0] != pixels.shape[0]
+            or anchors.shape[1] != pixels.shape[1]):
+        raise ValueError("increments_rest: all images must have one shape")
+    oldest -= <int64_t>(1e6 * RESTS * c.rest)
+    with nogil:
+        for i in range(woken):
+            if not 0 <= awake[i] < size:
+                continue
+            p = &pixels[0, 0] + awake[i]
+            last, at, k = &p.at, p.at_index, p.next
+            while k >= 0 and store[k].t <= known:
+                last, at, k = &store[k], k, store[k].next
+            anew = last.run > 0 and last.t < oldest and last.t != p.quiet_t
+            if anew:
+                p.quiet_t = last.t
+                begin_anew(<stored_t*>last)
+                if at >= 0:
+                    begin_anew(&store[at])
+                if k < 0:
+                    begin_anew(&p.newest)
+                while k >= 0:
+                    e = &store[k]
+                    sum_up(e, last.light, last.count, c)
+                    last, k = e, e.next
+                    p.newest = e[0]
+            quiet = p.next < 0 and (&anchors[0, 0] + awake[i]).hot <= PRIOR_ODDS and (
+                p.at.run == 0 or p.at.t == p.quiet_t)
+            if anew or quiet:
+                rested[n] = awake[i]
+                n += 1
+            if quiet:
+                (&due[0, 0] + awake[i])[0] = QUIET
+            else:
+                awake[left] = awake[i]
+                left += 1
+    return n, left
+
+
+cdef inline void begin_anew(stored_t* e) noexcept nogil:
+    e.light[0] = e.light[1] = e.count[0] = e.count[1] = 0.0
 
 
 def increments_drop(stored_t[::1] store not None, Py_ssize_t stop, Py_ssize_t by,
@@ -137,7 +206,8 @@ def increments_weigh(stored_t[::1] store not None, Py_ssize_t stop, int64_t firs
                      const double[::1] camera not None):
     """Compute the sums of all stored events again, by another camera.
 
-    A pixel's sums at its first stored event stay as they are.
+    A pixel's sums at its first stored event stay as they are.  None is quiet that has
+    had an event.
     """
     cdef Py_ssize_t i
     cdef const camera_t* c = camera_of(camera)
@@ -155,3 +225,4 @@ def increments_weigh(stored_t[::1] store not None, Py_ssize_t stop, int64_t firs
                 before_it(&store[p[i].next], c, p[i].at.light, p[i].at.count)
             if p[i].newest_index >= 0:
                 p[i].newest = store[p[i].newest_index]
+            p[i].quiet_t = NEVER

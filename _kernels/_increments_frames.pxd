@@ -9,6 +9,50 @@ from _kernels._increments cimport (
 from _kernels._lamp cimport lamp_flickers, lamp_t, ripple
 from _kernels._math cimport exp_f, log_f
 
+cdef struct frame_t:
+    # A frame, as `Waiting.arrays` gives it.
+    node_t* nodes
+    const float* log            # ln DN/ms
+    const float* variance       # of the sample, 0: not usable
+    const float* said           # what other times and pixels said since the frame
+                                # before
+    const float* gains          # about which nodes are linear
+    const int64_t* begin        # of the exposure by column, as end and middle
+    const int64_t* end
+    const int64_t* middle
+    double* around              # by `increments_node`; NULL: nothing is weighed
+    Py_ssize_t size             # pixels
+    int samples
+
+
+cdef inline int frame_of(tuple arrays, Py_ssize_t h, Py_ssize_t w,
+                         frame_t* f) except -1:
+    cdef node_t[:, ::1] nodes
+    cdef const float[:, :, ::1] sample, gains
+    cdef const int64_t[:, ::1] times
+    cdef double[:, :, ::1] around
+    nodes, sample, gains, times, f.samples, around = arrays
+    if (nodes.shape[0] != h or nodes.shape[1] != w or sample.shape[0] != 3
+            or sample.shape[1] != h or sample.shape[2] != w or gains.shape[0] != h
+            or gains.shape[1] != w or gains.shape[2] != 2 or times.shape[0] != 3
+            or times.shape[1] != w or around is not None and (
+                around.shape[0] != 3 or around.shape[1] != h or around.shape[2] != w)):
+        raise ValueError("all images must have one shape")
+    if f.samples < 1 or f.samples > MOST_SAMPLES:
+        raise ValueError("samples must be 1 to 9")
+    f.nodes, f.gains, f.size = &nodes[0, 0], &gains[0, 0, 0], h * w
+    f.log, f.variance, f.said = (
+        &sample[0, 0, 0], &sample[1, 0, 0], &sample[2, 0, 0])
+    f.begin, f.end, f.middle = &times[0, 0], &times[1, 0], &times[2, 0]
+    f.around = NULL if around is None else &around[0, 0, 0]
+    return 0
+
+
+cdef inline int64_t open_since(int64_t t, const pixel_t* p) noexcept nogil:
+    """The event of the silence that is open at a node, NEVER: none."""
+    return p.quiet_t if t == 0 else t
+
+
 cdef inline double seen_ripple(const lamp_t* lamp, double hz,
                                look_t* at) noexcept nogil:
     """Ripple of the lamp behind the low-pass at the last event, which it helped to
@@ -29,24 +73,28 @@ cdef inline double corner_of(double log, const camera_t* c) noexcept nogil:
     return c.hz_per_light * (light if light > 0.0 else 0.0)
 
 
-cdef inline void node_of(const pixel_t* p, const stored_t* store, int64_t begin,
-                         int64_t end, int samples, int64_t known, const float* gain,
-                         const camera_t* c, const lamp_t* lamp,
-                         node_t* node) noexcept nogil:
+cdef inline void node_of(const pixel_t* p, const stored_t* store, const frame_t* f,
+                         Py_ssize_t place, Py_ssize_t x, int64_t known,
+                         const camera_t* c, const lamp_t* lamp) noexcept nogil:
     """Evaluate the changes so far in a frame's exposure, as known at `known`.  (6)
 
-    It is linear in the pixel's gains about those given.
+    It is linear in the pixel's gains about the frame's.
     """
     cdef look_t at
     cdef double[2] part, rate, rise, bend
     cdef double[MOST_SAMPLES] y, off, on, slope, u, lit
-    cdef double top = -1e300, total, level, share, seen = 0.0, hz = 0.0
-    cdef int64_t t, middle = begin + (end - begin) // 2
+    cdef double top = -1e300, total, level = 0.0, share, seen = 0.0, hz = 0.0
+    cdef node_t* node = f.nodes + place
+    cdef const float* gain = f.gains + 2 * place
+    cdef double log = f.log[place]
+    cdef int samples = f.samples
+    cdef int64_t t, begin = f.begin[x], end = f.end[x]
+    cdef int64_t middle = begin + (end - begin) // 2
     cdef bint flickers = lamp_flickers(lamp, <double>begin, <double>end)
-    cdef bint in_one_gap, leads = False
+    cdef bint in_one_gap, leads = False, usable = f.variance[place] > 0.0
     cdef silence_t open_
     cdef int i, j, turn
-    node.open_t = 0
+    node.open_t = NEVER
     node.open_variance = 0.0
     look(p, store, end, max(known, end), c, &at)
     if at.last != -NEVER and at.next == NEVER:
@@ -59,7 +107,7 @@ cdef inline void node_of(const pixel_t* p, const stored_t* store, int64_t begin,
             node.mean -= seen_ripple(lamp, c.hz, &at)
         return
     if lamp.blocks > 0:
-        hz = c.hz + (corner_of(node.log, c) if node.variance > 0.0 else 0.0)
+        hz = c.hz + (corner_of(log, c) if usable else 0.0)
     in_one_gap = at.last <= begin and known >= end
     for i in range(samples):
         t = begin + <int64_t>((end - begin) * (i + 0.5) / samples)
@@ -84,15 +132,16 @@ cdef inline void node_of(const pixel_t* p, const stored_t* store, int64_t begin,
         leads |= slope[i] != 0.0
         u[i] = 0.0
         top = max(top, y[i] + lit[i])
+        if i == samples // 2:
+            level = y[i]
         if t <= middle and at.next == NEVER and at.around.sign:
             open_ = silence_of(&at.around, c)
             node.open_variance = <float>silent_variance(&open_, at.around.since)
-    level = y[samples // 2]
-    for turn in range(3 if leads and node.variance > 0.0 else 1):
+    for turn in range(3 if leads and usable else 1):
         total = 0.0
         for i in range(samples):
             if turn > 0 and slope[i] != 0.0:
-                share = exp_f(<float>(node.log - level + y[i])) - c.black
+                share = exp_f(<float>(log - level + y[i])) - c.black
                 u[i] = lead_of(slope[i], max(share, 1e-3), c)
             total += exp_f(<float>(y[i] + u[i] + lit[i] - top))
         level = top + log_f(<float>(total / samples))
@@ -244,16 +293,16 @@ cdef inline void say(const course_t* s, int64_t t, double r, double b,
                    + s.open[k][1] * (r + 2.0 * x * b) + s.open[k][2] * b)
 
 
-cdef inline int64_t around_of(const pixel_t* p, const stored_t* store, int64_t t,
-                              int64_t known, const lags_t* lags, const camera_t* c,
-                              double* out) noexcept nogil:
-    """Weigh a pixel's counts at other times, and now, of the events up to `known`.
-
-    Returns the event of the silence that is open at the longest lag ahead, 0: none.
-    """
+cdef inline void around_of(const pixel_t* p, const stored_t* store, const frame_t* f,
+                           Py_ssize_t place, Py_ssize_t x, int64_t known,
+                           const lags_t* lags, const camera_t* c) noexcept nogil:
+    """Weigh a pixel's counts at other times, and now, of the events up to `known`."""
     cdef course_t course
     cdef silence_t open_
-    weigh_counts(p, store, t, known - t, lags, c, &course)
+    cdef double[3] out
+    weigh_counts(p, store, f.middle[x], known - f.middle[x], lags, c, &course)
     open_ = silence_in(&course, known, c)
-    say(&course, t, open_.rise, open_.bend, out)
-    return course.last
+    say(&course, f.middle[x], open_.rise, open_.bend, out)
+    f.around[place], f.around[f.size + place] = out[0], out[1]
+    f.around[2 * f.size + place] = out[2]
+    f.nodes[place].around_t = course.last if course.sign else NEVER

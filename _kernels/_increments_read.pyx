@@ -4,14 +4,14 @@ from libc.stdint cimport int32_t, int64_t, uint8_t, uint32_t
 from libc.string cimport memset
 
 from _kernels._increments cimport (
-    AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEVEL, LISTED,
-    MOST_SAMPLES, NEVER, PER_TURN, PRIOR_ODDS, RESTS, SLOPE, SMOOTH_FROM, UNKNOWN,
-    VARIANCE, anchor_t, around_t, camera_of, camera_t, course_of, course_t,
-    drift_of, lead_of, mean_at, node_t, pixel_t, show_row, shown_t,
-    silence_of, silence_t, silent_variance, stored_t, weight)
+    AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEVEL, NEVER, PER_TURN,
+    PRIOR_ODDS, RESTS, SLOPE, SMOOTH_FROM, VARIANCE, anchor_t, around_t, at_rest,
+    camera_of, camera_t, course_of, course_t, drift_of, lead_of, mean_at, node_t,
+    pixel_t, rest_planes, rest_row, show_row, shown_t, silence_of, silence_t,
+    silent_variance, stored_t, weight)
 from _kernels._increments_frames cimport (
-    around_of, corner_of, lags_of, lags_t, node_of, say, silence_in,
-    weigh_counts)
+    around_of, corner_of, frame_of, frame_t, lags_of, lags_t, node_of, open_since, say,
+    silence_in, weigh_counts)
 from _kernels._lamp cimport lamp_flickers, lamp_of, lamp_t, ripple
 from _kernels._math cimport exp_f
 from _kernels._model cimport wave_t
@@ -24,9 +24,9 @@ cdef enum:
     HOP = 8                     # pixels of the list between prefetches
 
 cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t* node,
-                          const anchor_t* a, const node_t* later, double b, double v,
-                          const double* cov, const camera_t* c, const lamp_t* lamp,
-                          shown_t* s) noexcept nogil:
+                          const anchor_t* a, const node_t* later, float said,
+                          double b, double v, const double* cov, const camera_t* c,
+                          const lamp_t* lamp, shown_t* s) noexcept nogil:
     cdef const stored_t* e = &p.at
     cdef double[2] since, until
     cdef double s00, s01, s11, passed = 0.0, after = 0.0, each, y, rate
@@ -54,7 +54,8 @@ cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t*
                 lamp, c.hz + s.corner, <double>s.next, &rate))
     s.theta[0] = 0.0 if hot else <float>((1.0 + a.gain[0]) * c.theta[0])
     s.theta[1] = 0.0 if hot else <float>((1.0 + a.gain[1]) * c.theta[1])
-    s.extra = s.common = s.ahead = s.behind = s.p_ahead = s.p_behind = 0.0
+    s.extra = s.common = s.ahead = s.behind = 0.0
+    s.p_ahead = s.p_behind = -1.0
     s.opened = node.open_variance if node.open_t == s.last else 0.0
     # Relative error of the thresholds, of this pixel and of all.
     s00 = a.p[3] + cov[0]
@@ -80,10 +81,11 @@ cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t*
                        + since[0] * since[1] * s01)
                 + since[0] * since[0] * s00 + since[1] * since[1] * s11
                 + c.gamma * passed)
+            s.p_ahead = max(s.p_ahead, 0.0)     # a negative one would be of no sample
         s.extra = <float>(0.25 * c.beta * min(passed, 1.0))
     if v > 0.0:
         s.state |= AFTER
-        s.behind = <float>b - later.around
+        s.behind = <float>b - said
         s.p_behind = <float>v
         if hot:
             s.p_behind += a.motion
@@ -104,24 +106,41 @@ cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t*
 
 cdef struct frames_t:
     # The frames before and after a read, and the epoch of the planes.
-    const node_t* node
-    const node_t* later
+    frame_t before, later
     const anchor_t* anchors
-    const float* gains          # about which the node of the frame before is linear
     const float* back           # NULL: no frame after
-    const int64_t* exposure     # of the frame before: begin, end by column
-    const int64_t* middle       # of both by column
-    double* around              # of the frame before, as increments_around writes it
+    const double* middle        # of both by column
     const lamp_t* lamp
-    int samples
-    Py_ssize_t h, w
+    Py_ssize_t w, size
     int64_t epoch, ahead
     double[3] theta_cov         # of the thresholds' relative errors
     bint fresh                  # the frames, or their estimates, are others
 
 
+cdef inline int frames_of(tuple frames, Py_ssize_t h, Py_ssize_t w,
+                          frames_t* f) except -1:
+    """Unpack (frame before, frame after or None, middles, anchors, back, epoch)."""
+    cdef const anchor_t[:, ::1] anchors
+    cdef const float[:, :, ::1] back
+    cdef const double[:, ::1] middles
+    before, later, middles, anchors, back, f.epoch = frames
+    f.w, f.size = w, h * w
+    frame_of(before, h, w, &f.before)
+    f.back = NULL
+    if (anchors.shape[0] != h or anchors.shape[1] != w or middles.shape[0] != 2
+            or middles.shape[1] != w):
+        raise ValueError("all images must have one shape")
+    if later is not None:
+        frame_of(later, h, w, &f.later)
+        if back.shape[0] != 2 or back.shape[1] != h or back.shape[2] != w:
+            raise ValueError("all images must have one shape")
+        f.back = &back[0, 0, 0]
+    f.anchors, f.middle = &anchors[0, 0], &middles[0, 0]
+    return 0
+
+
 cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_,
-                          bint rests, Py_ssize_t x, const frames_t* f,
+                          Py_ssize_t x, const frames_t* f,
                           const camera_t* c, double* log, double* variance,
                           silence_t* silence) noexcept nogil:
     """ln(I + black) at t without what other times and pixels say, its variance, and the
@@ -129,8 +148,8 @@ cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_
     cdef around_t a
     cdef double[2] rise, bend
     cdef int k
-    cdef double j = 0.0, v = s.extra, v1, v2, u, slope = 0.0, light, theta2
-    if s.sign and not rests and not s.state & HOT:
+    cdef double j = 0.0, v = s.extra, u, slope = 0.0, light, theta2
+    if s.sign and not s.state & HOT:
         a.sign = s.sign
         a.next_sign = s.next_sign
         a.next_weight = s.next_weight
@@ -156,25 +175,12 @@ cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_
         for k in range(2):
             j += s.theta[k] * a.since * (rise[k] + a.since * bend[k])
             slope += s.theta[k] * (rise[k] + 2.0 * a.since * bend[k])
-    v1 = s.p_ahead + c.alpha * fabs(1e-6 * <double>(t - f.middle[x]))
-    v2 = s.p_behind + c.alpha * fabs(1e-6 * <double>(f.middle[f.w + x] - t))
-    if s.state & (BEFORE | AFTER) == BEFORE | AFTER:
-        # The thresholds' error is in both, with opposite signs.
-        theta2 = v1 + v2 - 2.0 * s.common
-        u = (v1 - s.common) / theta2
-        u = 0.0 if u < 0.0 else 1.0 if u > 1.0 else u
-        j += s.ahead + u * (s.behind - s.ahead)
-        v += v1 + u * (u * theta2 - 2.0 * (v1 - s.common))
-    elif s.state & BEFORE:
-        j += s.ahead
-        v += v1
-    elif s.state & AFTER:
-        j += s.behind
-        v += v2
-    else:
+    at_rest(<double>t, s.ahead, s.p_ahead, s.behind, s.p_behind, s.common, v,
+            f.middle[x], f.middle[f.w + x], c.alpha, &u, variance)
+    if not s.state & (BEFORE | AFTER):
         log[0] = 0.0
-        variance[0] = UNKNOWN
         return
+    j += u
     if slope != 0.0 and (c.hz > 0.0 or c.hz_per_light > 0.0):
         u = slope * PER_TURN / (c.hz + s.corner)
         if u > 0.02 or u < -0.02:
@@ -184,75 +190,78 @@ cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_
             u *= 1.0 - u * s.corner / (c.hz + s.corner)
         j += u
     log[0] = j
-    variance[0] = v
+
+
+def increments_rest_planes(tuple frames not None, const double[::1] camera not None,
+                           float[:, :, ::1] planes not None, bands not None):
+    """Write the planes of rows as of quiet pixels.  frames is as in `increments_move`.
+    """
+    cdef Py_ssize_t y, x, at, first, last, h = planes.shape[1], w = planes.shape[2]
+    cdef const camera_t* c = camera_of(camera)
+    cdef const anchor_t* a
+    cdef frames_t f
+    first, last = bands
+    frames_of(frames, h, w, &f)
+    if planes.shape[0] != 5:
+        raise ValueError("increments_rest_planes: all images must have one shape")
+    with nogil:
+        for y in range(first, last):
+            for x in range(w):
+                at = y * w + x
+                a = f.anchors + at
+                planes[LEVEL, y, x] = a.log
+                planes[VARIANCE, y, x] = a.p[0] if a.sampled > 0.0 else -1.0
+                planes[SLOPE, y, x], planes[GROWS, y, x] = 0.0, -1.0
+                if f.back != NULL:
+                    planes[SLOPE, y, x] = f.back[at] - f.later.said[at]
+                    planes[GROWS, y, x] = f.back[f.size + at]
+            rest_row(f.middle, f.middle + w, <double>f.epoch, c.alpha, w,
+                     &planes[LEVEL, y, 0], &planes[SLOPE, y, 0],
+                     &planes[VARIANCE, y, 0], &planes[GROWS, y, 0],
+                     &planes[BENDS, y, 0])
 
 
 def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store not None,
-                    frames not None, times not None, const double[::1] camera not None,
-                    const int32_t[::1] moving not None, uint8_t[::1] moves not None,
+                    tuple frames not None, times not None,
+                    const wave_t[::1] waves not None,
+                    const double[::1] camera not None,
+                    const int32_t[::1] listed not None, int64_t[:, ::1] due not None,
                     shown_t[:, ::1] shown not None, course_t[:, ::1] courses,
                     float[:, :, ::1] planes not None,
                     float[:, :, ::1] around, bands not None):
     """Bring the planes of the listed pixels up to date for a read.
 
-    frames is (node, gains, exposure, samples, anchors, later or None, back, middles,
-    around, waves), times (t, known, epoch, whether all frames and pixels are new).  Of
-    the list, the entries first <= i < last are processed; moves tells which may change
-    before their next event or frame.  around receives what `increments_around` writes,
-    less that of the frame before, by way of courses; None: nothing is weighed.
+    frames is (frame before, frame after or None, middles, anchors, back, epoch), times
+    (t, known, whether all frames are new).  Of the list, the entries first <= i < last
+    are processed, and of these, pixels that are due at t; due becomes when they are
+    next.  around receives what the counts of each weigh, less that at the frame before,
+    by way of courses; None: nothing is weighed.
 
     Between events, and farther than all lags from them, a pixel's value is interpolated
     between times since the event that grow by `KNOT`: an image does not depend on which
     others are asked for.
     """
-    cdef node_t[:, ::1] node
-    cdef const node_t[:, ::1] later
-    cdef const int64_t[:, ::1] exposure, middles
-    cdef const anchor_t[:, ::1] anchors
-    cdef const float[:, :, ::1] back, gains
-    cdef double[:, :, ::1] then
-    cdef const wave_t[::1] waves
     cdef const camera_t* c = camera_of(camera)
     cdef frames_t f
-    cdef lamp_t lamp
+    cdef lamp_t lamp = lamp_of(waves)
     cdef lags_t lags
-    cdef Py_ssize_t first, last, i, k, at, size = pixels.shape[0] * pixels.shape[1]
+    cdef Py_ssize_t first, last, i, k, at, h = pixels.shape[0], w = pixels.shape[1]
     cdef int64_t t, known
+    cdef int64_t* until = &due[0, 0]
     cdef float* plane = &planes[0, 0, 0]
     first, last = bands
-    t, known, f.epoch, f.fresh = times
-    (node, gains, exposure, f.samples, anchors, later, back, middles, then,
-     waves) = frames
-    lamp = lamp_of(waves)
+    t, known, f.fresh = times
+    frames_of(frames, h, w, &f)
     f.lamp = &lamp
-    f.h, f.w = pixels.shape[0], pixels.shape[1]
-    if (node.shape[0] != f.h or node.shape[1] != f.w or anchors.shape[0] != f.h
-            or anchors.shape[1] != f.w or gains.shape[0] != f.h
-            or gains.shape[1] != f.w or gains.shape[2] != 2
-            or shown.shape[0] != f.h or shown.shape[1] != f.w
-            or planes.shape[0] != 5 or planes.shape[1] != f.h or planes.shape[2] != f.w
-            or exposure.shape[0] != 2 or exposure.shape[1] != f.w
-            or middles.shape[0] != 2 or middles.shape[1] != f.w
-            or f.samples > MOST_SAMPLES or moves.shape[0] < moving.shape[0]):
+    if (shown.shape[0] != h or shown.shape[1] != w or due.shape[0] != h
+            or due.shape[1] != w or planes.shape[0] != 5 or planes.shape[1] != h
+            or planes.shape[2] != w or around is not None and (
+                f.before.around == NULL or courses is None or courses.shape[0] != h
+                or courses.shape[1] != w or around.shape[0] != 3
+                or around.shape[1] != h or around.shape[2] != w)):
         raise ValueError("increments_move: all images must have one shape")
-    if later is not None and (
-            later.shape[0] != f.h or later.shape[1] != f.w or back.shape[0] != 2
-            or back.shape[1] != f.h or back.shape[2] != f.w):
-        raise ValueError("increments_move: all images must have one shape")
-    if around is not None and (
-            then is None or courses is None or courses.shape[0] != f.h
-            or courses.shape[1] != f.w
-            or then.shape[0] != 3 or around.shape[0] != 3
-            or around.shape[1] != f.h or then.shape[1] != f.h
-            or around.shape[2] != f.w or then.shape[2] != f.w):
-        raise ValueError("increments_move: all images must have one shape")
-    if first < 0 or last > moving.shape[0]:
+    if first < 0 or last > listed.shape[0]:
         raise ValueError("increments_move: the list is shorter")
-    f.node, f.gains = &node[0, 0], &gains[0, 0, 0]
-    f.later = &later[0, 0] if later is not None else NULL
-    f.back = &back[0, 0, 0] if later is not None else NULL
-    f.around = &then[0, 0, 0] if around is not None else NULL
-    f.anchors, f.exposure, f.middle = &anchors[0, 0], &exposure[0, 0], &middles[0, 0]
     f.ahead = known - t
     f.theta_cov[0] = c.theta_cov[0] / (c.theta[0] * c.theta[0])
     f.theta_cov[1] = c.theta_cov[1] / (c.theta[0] * c.theta[1])
@@ -260,62 +269,54 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
     with nogil:
         lags = lags_of(c, f.ahead)
         for i in range(first, last):
-            at = -1 if i + HOP >= last or f.fresh else moving[i + HOP]
-            if 0 <= at < size:
-                prefetch(&(&pixels[0, 0] + at).flags)
+            at = listed[i + HOP] if i + HOP < last else -1
+            if 0 <= at < f.size and (f.fresh or t >= until[at]):
                 prefetch_all(&shown[0, 0] + at, sizeof(shown_t))
                 for k in range(5):
-                    prefetch(plane + k * size + at)
+                    prefetch(plane + k * f.size + at)
                 if around is not None:
                     prefetch_all(&courses[0, 0] + at, sizeof(course_t))
                     for k in range(3):
                         prefetch(&around[k, 0, 0] + at)
-                        prefetch(f.around + k * size + at)
-            at = moving[i]
-            if 0 <= at < size:
-                moves[i] = move_one(
-                    &pixels[0, 0] + at, &store[0], &node[0, 0] + at, at, t, known, &f,
-                    &lags, c, &shown[0, 0] + at,
+                        prefetch(f.before.around + k * f.size + at)
+            at = listed[i]
+            if 0 <= at < f.size and (f.fresh or t >= until[at]):
+                until[at] = move_one(
+                    &pixels[0, 0] + at, &store[0], at, until[at] == CHANGED, t, known,
+                    &f, &lags, c, &shown[0, 0] + at,
                     &courses[0, 0] + at if around is not None else NULL, plane,
                     &around[0, 0, 0] if around is not None else NULL)
 
 
-cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
-                          Py_ssize_t at, int64_t t, int64_t known, const frames_t* f,
-                          const lags_t* lags, const camera_t* c, shown_t* kept,
-                          course_t* course, float* plane, float* around) noexcept nogil:
-    """Write a pixel's planes; return whether they have to be written again."""
-    cdef Py_ssize_t size = f.h * f.w, x = <uint32_t>at % <uint32_t>f.w
-    cdef int64_t t0 = t, t1 = t
+cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t at,
+                             bint changed, int64_t t, int64_t known, const frames_t* f,
+                             const lags_t* lags, const camera_t* c, shown_t* s,
+                             course_t* course, float* plane,
+                             float* around) noexcept nogil:
+    """Write a pixel's planes; return up to when they hold it."""
+    cdef Py_ssize_t size = f.size, x = <uint32_t>at % <uint32_t>f.w
+    cdef node_t* node = f.before.nodes + at
+    cdef int64_t t0 = t, t1 = t, until = 0
     cdef double[3] out
-    cdef double j0, v0, j1, v1, since, knot, seconds, rate
-    cdef bint rests = False, smooth = False, changed = p.flags & CHANGED
-    cdef shown_t new
-    cdef shown_t* s = kept
+    cdef double j0, v0, j1, v1, since, knot, rate
+    cdef bint rests = False, smooth = False
     cdef silence_t silence, other
     cdef int k
     if changed or f.fresh:
-        p.flags = LISTED
-        s = &new
-        if node.open_t != 0 and p.at.run > 0 and p.at.t > node.open_t:
+        if p.at.run > 0 and p.at.t > open_since(node.open_t, p):
             # Its end is known now.
-            node_of(p, store, f.exposure[x], f.exposure[f.w + x], f.samples, p.at.t,
-                    f.gains + 2 * at, c, f.lamp, node)
-        if (around != NULL and f.ahead == 0 and node.around_t != 0 and p.at.run > 0
-                and p.at.t > node.around_t):
-            node.around_t = around_of(p, store, f.middle[x], p.at.t, lags, c, out)
-            for k in range(3):
-                f.around[k * size + at] = out[k]
+            node_of(p, store, &f.before, at, x, p.at.t, c, f.lamp)
+        if (around != NULL and f.ahead == 0 and p.at.run > 0
+                and p.at.t > open_since(node.around_t, p)):
+            around_of(p, store, &f.before, at, x, p.at.t, lags, c)
         if f.back != NULL:
-            show_one(p, store, node, f.anchors + at, f.later + at, f.back[at],
-                     f.back[size + at], f.theta_cov, c, f.lamp, s)
+            show_one(p, store, node, f.anchors + at, f.later.nodes + at,
+                     f.later.said[at], f.back[at], f.back[size + at], f.theta_cov, c,
+                     f.lamp, s)
         else:
-            show_one(p, store, node, f.anchors + at, node, 0.0, -1.0, f.theta_cov,
+            show_one(p, store, node, f.anchors + at, node, 0.0, 0.0, -1.0, f.theta_cov,
                      c, f.lamp, s)
-    elif t < s.until:
-        return True
     silence.rise = silence.bend = 0.0
-    s.until = 0
     knot = since = 1e-6 * <double>(t - s.last)
     if s.next > known:
         # By the knot, not by t: whatever was read before, the same segment is shown.
@@ -327,46 +328,34 @@ cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
         rests = (rests or stays(knot, s, f, c)) and (
             s.sign == 0 or t - s.last > lags.oldest)
         smooth = not rests and since > SMOOTH_FROM
-    if smooth:
-        t0 = s.last + <int64_t>(1e6 * knot)
-        t1 = s.last + <int64_t>(1e6 * knot * KNOT)
-        s.until = t1
-    elif rests:
-        # From the frame before to the one after, or as from either.
-        t0 = f.middle[x]
-        t1 = f.middle[f.w + x]
-        if not s.state & AFTER:
-            t1 = t0 + 1000000
-        elif not s.state & BEFORE:
-            t0 = t1 - 1000000
-        t1 = max(t1, t0 + 1000)
-        s.until = NEVER
+    if rests:
+        until = NEVER
+        rest_planes(
+            s.ahead, s.p_ahead, s.behind, s.p_behind, s.common, s.extra, f.middle[x],
+            f.middle[f.w + x], <double>f.epoch, c.alpha, plane + LEVEL * size + at,
+            plane + SLOPE * size + at, plane + VARIANCE * size + at,
+            plane + GROWS * size + at, plane + BENDS * size + at)
+    else:
+        if smooth:
+            t0 = s.last + <int64_t>(1e6 * knot)
+            until = t1 = s.last + <int64_t>(1e6 * knot * KNOT)
+        estimate(s, t0, t0 + f.ahead if smooth else known, smooth, x, f, c, &j0, &v0,
+                 &silence)
+        plane[SLOPE * size + at] = plane[GROWS * size + at] = 0.0
+        plane[BENDS * size + at] = 0.0
+        if smooth:
+            estimate(s, t1, t1 + f.ahead, smooth, x, f, c, &j1, &v1, &other)
+            since = 1e-6 * <double>(f.epoch - t0)
+            rate = (j1 - j0) / (1e-6 * <double>(t1 - t0))
+            plane[SLOPE * size + at] = <float>rate
+            j0 += rate * since
+            rate = (v1 - v0) / (1e-6 * <double>(t1 - t0))
+            plane[GROWS * size + at] = <float>rate
+            v0 += since * rate
+        plane[LEVEL * size + at] = <float>j0
+        plane[VARIANCE * size + at] = <float>v0
     if s.next != NEVER:
-        s.until = min(s.until, s.next - f.ahead)    # then it is known
-    estimate(s, t0, t0 + f.ahead if smooth else known, smooth, rests, x, f, c,
-             &j0, &v0, &silence)
-    plane[LEVEL * size + at] = <float>j0
-    plane[VARIANCE * size + at] = <float>v0
-    plane[SLOPE * size + at] = plane[GROWS * size + at] = plane[BENDS * size + at] = 0.0
-    if t1 > t0:
-        estimate(s, t1, t1 + f.ahead if smooth else known, smooth, rests, x, f, c,
-                 &j1, &v1, &other)
-        seconds = 1e-6 * <double>(t1 - t0)
-        rate = (j1 - j0) / seconds
-        since = 1e-6 * <double>(f.epoch - t0)
-        plane[SLOPE * size + at] = <float>rate
-        plane[LEVEL * size + at] = <float>(j0 + rate * since)
-        rate = (v1 - v0) / seconds
-        j1 = 0.0
-        if rests and s.state & (BEFORE | AFTER) == BEFORE | AFTER:
-            # v1 v2 / (v1 + v2) is a parabola, as v1 grows as fast as v2 falls.
-            j1 = -c.alpha * c.alpha / (
-                s.p_ahead + s.p_behind - 2.0 * s.common + c.alpha * 1e-6 * <double>(
-                    f.middle[f.w + x] - f.middle[x]))
-            rate -= j1 * seconds
-        plane[BENDS * size + at] = <float>j1
-        plane[GROWS * size + at] = <float>(rate + 2.0 * j1 * since)
-        plane[VARIANCE * size + at] = <float>(v0 + since * (rate + since * j1))
+        until = min(until, s.next - f.ahead)    # then it is known
     if around != NULL:
         if s.state & HOT:
             course.until = 0
@@ -381,13 +370,9 @@ cdef inline bint move_one(pixel_t* p, const stored_t* store, node_t* node,
                 silence = silence_in(course, known, c)
             say(course, t0, silence.rise, silence.bend, out)
             for k in range(3):
-                around[k * size + at] = <float>(out[k] - f.around[k * size + at])
-    if rests and p.next < 0:
-        p.flags &= ~LISTED
-        return False
-    if s == &new:
-        kept[0] = new
-    return True
+                around[k * size + at] = <float>(
+                    out[k] - f.before.around[k * size + at])
+    return until
 
 
 cdef inline bint stays(double since, const shown_t* s, const frames_t* f,

@@ -42,18 +42,18 @@ __all__ = [
     "fan_stokes",
     "guided",
     "hue_bgr",
-    "increments_around",
     "increments_back",
     "increments_close",
     "increments_commit",
     "increments_differ",
     "increments_drop",
     "increments_image",
-    "increments_mean",
     "increments_move",
     "increments_node",
     "increments_pass",
     "increments_push",
+    "increments_rest",
+    "increments_rest_planes",
     "increments_weigh",
     "lamp_push",
     "lamp_wave",
@@ -205,26 +205,20 @@ def guided(
     mosaic: NDArray[_Pixel], clean: _U8, variance: _F32, places: NDArray[np.intp],
     constants: NDArray[Any], scratch: _F32, out: _F32,
 ) -> None: ...
-def increments_around(
-    pixels: NDArray[Any], store: NDArray[Any], times: _I64, known: int, ahead: int,
-    camera: _F64, again: bool, nodes: NDArray[Any], planes: _F64,
-    bands: tuple[int, int],
-) -> None: ...
 def increments_back(
-    nodes: list[NDArray[Any]], seconds: _F64, camera: _F64, anchors: NDArray[Any],
+    frames: list[tuple[object, ...]], due: _I64, camera: _F64, anchors: NDArray[Any],
     back: _F32, bands: tuple[int, int],
 ) -> None: ...
 def increments_close(
-    pixels: NDArray[Any], store: NDArray[Any], exposure: _I64, middle: _I64,
-    samples: int, ahead: int, oldest: int, gains: _F32, camera: _F64,
-    waves: NDArray[Any], nodes: NDArray[Any], planes: _F64 | None,
+    pixels: NDArray[Any], store: NDArray[Any], frame: tuple[object, ...], ahead: int,
+    oldest: int, camera: _F64, waves: NDArray[Any], listed: _I32,
 ) -> None: ...
 def increments_commit(
     store: NDArray[Any], at: int, stop: int, until: int, pixels: NDArray[Any],
-    moving: _I32, listed: int,
+    due: _I64, awake: _I32, woken: int,
 ) -> tuple[int, int]: ...
 def increments_differ(
-    new: _F64, old: _F64, anchors: NDArray[Any], out: _F32, bands: tuple[int, int],
+    new: _F64, old: _F64, anchors: NDArray[Any], listed: _I32, planes: _F32, out: _F32,
 ) -> None: ...
 def increments_drop(
     store: NDArray[Any], stop: int, by: int, pixels: NDArray[Any],
@@ -233,28 +227,33 @@ def increments_image(
     planes: _F32, around: _F32 | None, times: tuple[int, int], waves: NDArray[Any],
     most: float, out: tuple[_F32, _F32, _U8], bands: tuple[int, int],
 ) -> None: ...
-def increments_mean(
-    planes: _F32, row: _F32, nodes: NDArray[Any], bands: tuple[int, int],
-) -> None: ...
 def increments_move(
     pixels: NDArray[Any], store: NDArray[Any], frames: tuple[Any, ...],
-    times: tuple[int, int, int, bool], camera: _F64, moving: _I32, moves: _U8,
-    shown: NDArray[Any], courses: NDArray[Any] | None, planes: _F32,
+    times: tuple[int, int, bool], waves: NDArray[Any], camera: _F64, listed: _I32,
+    due: _I64, shown: NDArray[Any], courses: NDArray[Any] | None, planes: _F32,
     around: _F32 | None, bands: tuple[int, int],
 ) -> None: ...
 def increments_node(
-    pixels: NDArray[Any], store: NDArray[Any], exposure: _I64, samples: int,
-    known: int, gains: _F32, camera: _F64, waves: NDArray[Any], again: bool,
-    nodes: NDArray[Any], bands: tuple[int, int],
+    pixels: NDArray[Any], store: NDArray[Any], frame: tuple[object, ...], known: int,
+    ahead: int, camera: _F64, waves: NDArray[Any], again: tuple[bool, bool],
+    listed: _I32, bands: tuple[int, int],
 ) -> None: ...
 def increments_pass(
-    old: NDArray[Any], new: NDArray[Any], seconds: _F64, camera: _F64,
+    old: tuple[object, ...], new: tuple[object, ...], due: _I64, camera: _F64,
     anchors: NDArray[Any], middles: _F32, bands: tuple[int, int],
 ) -> None: ...
 def increments_push(
     events: NDArray[Any], last: int, first: int, at: int, store: NDArray[Any],
-    pixels: NDArray[Any], camera: _F64, moving: _I32, listed: int,
+    pixels: NDArray[Any], camera: _F64, due: _I64, awake: _I32, woken: int,
 ) -> tuple[int, int]: ...
+def increments_rest(
+    store: NDArray[Any], known: int, oldest: int, pixels: NDArray[Any],
+    anchors: NDArray[Any], camera: _F64, due: _I64, awake: _I32, woken: int,
+    rested: _I32,
+) -> tuple[int, int]: ...
+def increments_rest_planes(
+    frames: tuple[Any, ...], camera: _F64, planes: _F32, bands: tuple[int, int],
+) -> None: ...
 def increments_weigh(
     store: NDArray[Any], stop: int, first: int, pixels: NDArray[Any], camera: _F64,
 ) -> None: ...

@@ -95,6 +95,32 @@ def test_it_equals_its_plain_version(mode, name, exposure):
 
 
 @pytest.mark.parametrize("mode", MODES)
+def test_pixels_that_have_been_still_are_shown_as_others(mode, monkeypatch):
+    """They are not looked at until an event comes (`increments_rest`)."""
+    events, frames = stream(11, n=80, events_us=2_900_000)
+    frames += [random_frame(SHAPE, t, seed=t, low=50, high=900)
+               for t in range(1_000_000, 2_900_000, 100_000)]
+    shown, quiet = {}, {}
+    for all_ in (False, True):
+        monkeypatch.setattr(KalmanFilter, "_lit", all_)
+        one = make(mode=mode)
+        shown[all_], quiet[all_], fed_us = [], 0, -1
+        for t in range(30_000, 2_800_000, 37_000):
+            now = t + one.lookahead_us
+            new = (events["t"] > fed_us) & (events["t"] <= now)
+            feed(one, events[new], [f for f in frames if fed_us < f.mid_us <= now])
+            one.settle(now)
+            fed_us = now
+            shown[all_].append(read(one, t))
+            quiet[all_] += one._awake.size - one._woken
+    assert quiet[False] > 300
+    assert quiet[True] == 0
+    for some, others in zip(shown[False], shown[True], strict=True):
+        np.testing.assert_allclose(some.log_intensity, others.log_intensity, atol=1e-6)
+        np.testing.assert_allclose(some.variance, others.variance, rtol=1e-5)
+
+
+@pytest.mark.parametrize("mode", MODES)
 def test_packets_threads_and_other_images_change_no_bit(mode):
     events, frames = stream(3, n=900, exposures=20_000)
     rng = np.random.default_rng(0)
@@ -350,4 +376,4 @@ def test_it_refuses_what_it_cannot_use():
         one.assign(make((2, 2)))
     with pytest.raises(ValueError, match="numbers must be those of a PixelModel"):
         _kernels.increments_push(events, 0, 0, 0, one._store, one._pixels, np.zeros(3),
-                                 one._moving, 0)
+                                 one._due, one._awake, 0)

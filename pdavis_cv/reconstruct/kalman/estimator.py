@@ -25,10 +25,10 @@ from pdavis_cv.reconstruct.kalman.frames import (
     ANCHOR_DTYPE,
     COURSE_DTYPE,
     EVENT_DTYPE,
-    NODE_DTYPE,
     PIXEL_DTYPE,
     SHOWN_DTYPE,
     Waiting,
+    between,
     thresholds_of,
 )
 from pdavis_cv.reconstruct.kalman.lasting_degree import LastingDegree
@@ -51,9 +51,12 @@ _REACH_US = 5_000 - round(1e6 * min(LAGS_S))    # how far back events count, us
 _AHEAD_US = round(1e6 * max(LAGS_S))
 _LATE_US = 500_000      # how late a frame may come, us
 _NO_EVENTS = 1 << 14    # capacity of the store at first, events
+_GAINS_PER_US = 1e-4    # relative error of gains by that of stamps: a tenth per ms
 _BANDWIDTH_SIGMA = 0.1  # relative error of the bandwidth of saturated pixels
 _PLANES, _PIXEL_NS = 5, 100.0   # of an image in the making; ns by listed pixel
-_UNKNOWN, _HOT = 1e3, 6.91      # as PD_UNKNOWN and PD_PRIOR_ODDS of _increments.h
+# As PD_UNKNOWN, PD_PRIOR_ODDS, PD_NEVER, PD_CHANGED and PD_QUIET of _increments.h.
+_UNKNOWN, _HOT, _NO_TIME = 1e3, 6.91, 1 << 62
+_CHANGED, _QUIET = -_NO_TIME, -_NO_TIME - 1
 
 
 class KalmanFilter(Reconstructor):
@@ -103,6 +106,7 @@ class KalmanFilter(Reconstructor):
     causal_parameters = MappingProxyType({"mode": "causal"})
     margin = WHOLE_SENSOR
     lookahead_us: int
+    _sight: tuple[Any, ...]
 
     def __init__(
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
@@ -155,26 +159,22 @@ class KalmanFilter(Reconstructor):
         self._pixels = np.zeros(self.shape, PIXEL_DTYPE)
         for name in ("at_index", "newest_index", "next"):
             self._pixels[name] = -1
+        self._pixels["quiet_t"] = _NO_TIME
         self._anchors = np.zeros(self.shape, ANCHOR_DTYPE)
         self._begin_gains()
         self._frames: tuple[Waiting, ...] = ()     # the anchor, then later ones
         self._passed = 0                            # 1: the first is the anchor
         self._lasting = LastingDegree(self.shape, self._saturated.response)
         self._lamp = Lamplight()
-        self._no_node = np.zeros(self.shape, NODE_DTYPE)
-        self._no_gains = np.zeros((*self.shape, 2), np.float32)
-        size = self.shape[0] * self.shape[1]
-        # Pixels that may move, and what an image is made of: see `increments_move`.
-        self._moving, self._listed = np.arange(size, dtype=np.int32), size
-        self._moves = np.empty(size, np.uint8)
+        # Pixels that are not quiet (see `increments_rest`), and how many; what an image
+        # is made of, and until when that holds: see `increments_move`.
+        self._awake, self._woken = np.empty(self.shape[0] * self.shape[1], np.int32), 0
+        self._due = np.empty(self.shape, np.int64)
         self._shown = np.zeros(self.shape, SHOWN_DTYPE)
         self._courses: Records | None = None
         self._planes = np.zeros((_PLANES, *self.shape), np.float32)
         self._around = np.zeros((3, *self.shape), np.float32)
-        self._row = np.empty(self.shape, np.float32)
         self._hot: NDArray[np.bool_] | None = None
-        self._nothing = np.zeros((3, *self.shape))
-        self._all = self._moving.copy()
         self._unknown = self._held = np.empty(0, np.intp)
         self._changed()
 
@@ -186,8 +186,20 @@ class KalmanFilter(Reconstructor):
         """Invalidate what is made for reads."""
         self._back: NDArray[np.float32] | None = None
         self._fresh, self._hot = False, None
-        self._pixels["flags"] = 3
         self._scratch: tuple[int, int, KalmanFilter] | None = None
+        last = self._pixels["newest"]
+        quiet = (self._pixels["next"] < 0) & (self._anchors["hot"] <= _HOT) & (
+            (last["run"] == 0) | (last["t"] == self._pixels["quiet_t"]))
+        quiet &= not self._lit
+        self._due[:] = np.where(quiet, _QUIET, _CHANGED)
+        self._woken = int(np.count_nonzero(~quiet))
+        self._awake[:self._woken] = np.flatnonzero(~quiet)
+        self._around[:, quiet] = 0
+
+    @property
+    def _lit(self) -> bool:
+        """Whether a lamp's ripple is in what is computed."""
+        return bool(self._lamp.waves.size) or any(frame.lit for frame in self._frames)
 
     @property
     def thresholds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -212,8 +224,8 @@ class KalmanFilter(Reconstructor):
         if unknown:
             raise TypeError("retune takes model, ratio_sigma, theta_on, theta_off and "
                             f"frames_moved_us, got {', '.join(sorted(unknown))}")
-        if "ratio_sigma" in learned:
-            self._ratio_sigma = positive("ratio_sigma", learned["ratio_sigma"])
+        self._ratio_sigma = positive(
+            "ratio_sigma", learned.get("ratio_sigma", self._ratio_sigma))
         if {"theta_off", "theta_on"} & learned.keys():
             off, on = (learned.get(name, old) for name, old in zip(
                 ("theta_off", "theta_on"), self._theta, strict=True))
@@ -229,32 +241,33 @@ class KalmanFilter(Reconstructor):
         self._numbers = self._model.numbers
         if self._stop:
             _kernels.increments_weigh(
-                self._store, self._stop, self._first(), self._pixels, self._numbers)
+                self._store, self._stop, self._first_us or 0, self._pixels,
+                self._numbers)
+        self._changed()
         # Frames that wait still have the old stamps.
         frames = self._frames[:self._passed] if moved else self._frames
         self._frames = tuple(frame.copy() for frame in frames)
         for frame in self._frames:
             known = frame.known_us
-            log = frame.nodes["log"].copy() if frame is self._frames[0] else None
+            log = frame.sample[0].copy() if frame is self._frames[0] else None
             frame.set_model(self._model)
             if log is not None and self._passed:
                 # ln(I + black) with another black level
                 self._anchors["log"] += np.where(
-                    frame.nodes["variance"] > 0, frame.nodes["log"] - log, 0)
+                    frame.sample[1] > 0, frame.sample[0] - log, 0)
             if known is not None:
                 frame.known_us = None
                 self._look(frame, known)
-        self._changed()
 
     def _forget_gains(self, old: PixelModel, moved: int) -> None:
         """Keep of the gains what another model could tell.
 
         They hold in units of their spread, but may be wrong by as much as thresholds
-        were, and by a tenth for each ms that stamps were.
+        and stamps were.
         """
         variance = self._model.spread ** 2
         wrong = np.hypot(
-            np.abs(np.log(self._model.theta / old.theta)).max(), 1e-4 * moved)
+            np.abs(np.log(self._model.theta / old.theta)).max(), _GAINS_PER_US * moved)
         kept = variance / (variance + wrong**2)
         ratio = kept * self._model.spread / old.spread
         self._anchors["p"] *= np.array(
@@ -263,9 +276,6 @@ class KalmanFilter(Reconstructor):
         for i, theta in enumerate(self._theta):
             gain = self._anchors["gain"][..., i]
             gain += (1 - kept) * (theta / np.mean(theta) - 1 - gain)
-
-    def _first(self) -> int:
-        return 0 if self._first_us is None else self._first_us
 
     # ---- feeding -----------------------------------------------------------------
 
@@ -277,9 +287,9 @@ class KalmanFilter(Reconstructor):
         if self._first_us is None:
             self._first_us = int(events["t"][0])
         self._make_room(len(events))
-        taken, self._listed = _kernels.increments_push(
-            events, self._clock.last_us, self._first(), self._stop, self._store,
-            self._pixels, self._numbers, self._moving, self._listed)
+        taken, self._woken = _kernels.increments_push(
+            events, self._clock.last_us, self._first_us or 0, self._stop, self._store,
+            self._pixels, self._numbers, self._due, self._awake, self._woken)
         self._stop += taken
         self._scratch = None
         self._saturated.add_events(events[:taken], self.workers)
@@ -301,9 +311,9 @@ class KalmanFilter(Reconstructor):
                 keep = max(min(keep, oldest), last - 2 * _LATE_US)
                 if keep > oldest and first.known_us is not None:
                     _kernels.increments_close(
-                        self._pixels, self._store, first.exposure, first.middle,
-                        first.samples, self.lookahead_us, oldest, first.gains,
-                        self._numbers, self._lamp.waves, first.nodes, first.around)
+                        self._pixels, self._store, first.arrays, self.lookahead_us,
+                        oldest, self._numbers, self._lamp.waves,
+                        self._awake[:self._woken])
                     self._changed()
             drop = int(np.searchsorted(
                 self._store["t"][:self._committed], keep, "left"))
@@ -329,13 +339,14 @@ class KalmanFilter(Reconstructor):
         self._frames = (*self._frames, waiting)
         self._scratch = None
         self._saturated.add_frame(
-            frame, waiting.nodes["log"].copy(), waiting.nodes["variance"].copy(),
-            self.workers)
+            frame, waiting.sample[0].copy(), waiting.sample[1], self.workers)
 
     def add_wave(self, wave: Wave) -> None:
         """Take the lamp's flicker in a block (see `Reconstructor.add_wave`)."""
         self._lamp.add(wave)
         self._scratch = None
+        if self._lamp.waves.size and self._woken < len(self._awake):
+            self._changed()
 
     def settle(self, t_us: int) -> None:
         """Use what is due (see `Reconstructor.settle`)."""
@@ -349,9 +360,9 @@ class KalmanFilter(Reconstructor):
         while self._next_passes(seen_us):
             self._pass_next()
         before = self._committed
-        self._committed, self._listed = _kernels.increments_commit(
-            self._store, before, self._stop, until, self._pixels, self._moving,
-            self._listed)
+        self._committed, self._woken = _kernels.increments_commit(
+            self._store, before, self._stop, until, self._pixels, self._due,
+            self._awake, self._woken)
         if self._committed != before:
             self._scratch = None
         self._lamp.forget(until - MEMORY_US)
@@ -385,14 +396,26 @@ class KalmanFilter(Reconstructor):
             self._differ(old, frame)
         middles = np.empty(self.shape, np.float32)
         before = frame if old is None else old
-        seconds = 1e-6 * (frame.middle - before.middle).astype(np.float64)
         self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_pass(
-            before.nodes, frame.nodes, seconds, self._numbers, self._anchors, middles,
-            (first, last)))
+            before.arrays, frame.arrays, self._due, self._numbers, self._anchors,
+            middles, (first, last)))
         self._lasting.add_frame(middles)
         self._frames = self._frames[self._passed:]
         self._passed = 1
         self._back, self._fresh = None, False
+        if not self._lit:
+            self._rest(known - 1)
+
+    def _rest(self, known: int) -> None:
+        """Let pixels be quiet that have been still since before the last frame."""
+        rested = np.empty(self._woken, np.int32)
+        n, self._woken = _kernels.increments_rest(
+            self._store, known, self._frames[0].begin_us - _REACH_US, self._pixels,
+            self._anchors, self._numbers, self._due, self._awake, self._woken, rested)
+        for frame in self._frames:
+            if frame.known_us is not None:
+                self._evaluate(frame, rested[:n])
+        self._around.reshape(3, -1)[:, rested[:n]] = 0
 
     def _look(self, frame: Waiting, until_us: int) -> None:
         """Evaluate the exposure of a frame by the events before a time of the stream.
@@ -401,38 +424,35 @@ class KalmanFilter(Reconstructor):
         """
         if frame.known_us == until_us:
             return
-        known, before_us = until_us - 1, frame.known_us
-        again = before_us is not None
-        if self._model.looks_around:
-            ahead = min(known - frame.mid_us, self.lookahead_us)
-            same = before_us is not None and frame.around is not None and (
-                before_us - 1 - frame.mid_us >= min(_AHEAD_US, ahead))
-            if frame.around is None:
-                frame.around = np.empty((3, *self.shape))
-            around = frame.around
-            self.workers.rows(
-                self.shape[0], lambda first, last: _kernels.increments_around(
-                    self._pixels, self._store, frame.middle, known, ahead,
-                    self._numbers, same, frame.nodes, around, (first, last)))
-        else:
+        before_us, frame.known_us = frame.known_us, until_us
+        same = before_us is not None and frame.around is not None and (
+            before_us - 1 - frame.mid_us >= min(
+                _AHEAD_US, until_us - 1 - frame.mid_us, self.lookahead_us))
+        if not self._model.looks_around:
             frame.around = None
-        self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_node(
-            self._pixels, self._store, frame.exposure, frame.samples, known,
-            frame.gains, self._numbers, self._lamp.waves, again, frame.nodes,
-            (first, last)))
-        frame.known_us = until_us
+        elif frame.around is None:
+            frame.around = np.zeros((3, *self.shape))
+        frame.lit = frame.lit or bool(self._lamp.waves.size)
+        self._evaluate(frame, self._awake[:self._woken], (before_us is not None, same))
         self._back, self._fresh = None, False
+
+    def _evaluate(self, frame: Waiting, pixels: NDArray[np.int32],
+                  again: tuple[bool, bool] = (False, False)) -> None:
+        assert frame.known_us is not None
+        known = frame.known_us - 1
+        self.workers.rows(len(pixels), lambda *rows: _kernels.increments_node(
+            self._pixels, self._store, frame.arrays, known,
+            min(known - frame.mid_us, self.lookahead_us), self._numbers,
+            self._lamp.waves, again, pixels, rows), row_ns=_PIXEL_NS)
 
     def _differ(self, old: Waiting, new: Waiting) -> None:
         """Set what other times and pixels say of the time between two frames."""
         if new.around is None or old.around is None:
-            new.nodes["around"] = 0
+            new.sample[2] = 0
             return
-        planes, before, after = self._around, old.around, new.around
-        self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_differ(
-            after, before, self._anchors, planes, (first, last)))
-        self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_mean(
-            planes, self._row, new.nodes, (first, last)), row_ns=1.0 * self.shape[1])
+        _kernels.increments_differ(
+            new.around, old.around, self._anchors, self._awake[:self._woken],
+            self._around, new.sample[2])
 
     # ---- reading -----------------------------------------------------------------
 
@@ -461,8 +481,7 @@ class KalmanFilter(Reconstructor):
         seen = t + self.lookahead_us
         self._clock.check_read(seen)
         log = output(out, self.shape, np.float32)
-        variance = np.empty(self.shape, np.float32)
-        valid = np.empty(self.shape, np.bool_)
+        variance, valid = np.empty_like(log), np.empty(self.shape, np.bool_)
         one = self._at(t, seen)
         one._show(t, seen, log, variance, valid)
         self._saturated.fill(t, one._unknown, log, variance, valid, self.workers)
@@ -495,48 +514,32 @@ class KalmanFilter(Reconstructor):
                 self._look(frame, self._usable_us(frame))
         if self._back is None or self._backs != len(later):
             self._join(later)
-        anchor = self._frames[0] if self._passed else None
-        if not self._fresh:
-            self._list_all(next((frame.mid_us for frame in self._frames), t))
-        first = next(iter(later), None) if anchor is None else anchor
-        here = np.full(self.shape[1], t, np.int64)
-        nothing = np.zeros((2, self.shape[1]), np.int64)
-        frames = (
-            self._no_node if anchor is None else anchor.nodes,
-            self._no_gains if anchor is None else anchor.gains,
-            nothing if anchor is None else anchor.exposure,
-            1 if anchor is None else anchor.samples, self._anchors,
-            later[0].nodes if later else None, self._back,
-            np.stack([here if anchor is None else anchor.middle,
-                      later[0].middle if later else here]),
-            self._nothing if first is None else first.around, self._lamp.waves)
+        fresh = not self._fresh
+        if fresh:
+            anchor = self._frames[0] if self._passed else None
+            self._sight = (*between(anchor, later, self.shape, t), self._anchors,
+                           self._back, next((f.mid_us for f in self._frames), t))
+            self.workers.rows(
+                self.shape[0], lambda *rows: _kernels.increments_rest_planes(
+                    self._sight, self._numbers, self._planes, rows))
         around = self._around if self._model.looks_around else None
         if around is not None and self._courses is None:
             self._courses = np.empty(self.shape, COURSE_DTYPE)
-        n, before = self._listed, not self._fresh
-        self.workers.rows(n, lambda first, last: _kernels.increments_move(
-            self._pixels, self._store, frames, (t, seen, self._epoch_us, before),
-            self._numbers, self._moving, self._moves, self._shown, self._courses,
-            self._planes, around, (first, last)), row_ns=_PIXEL_NS)
-        kept = self._moving[:n][self._moves[:n] > 0]
-        self._listed = len(kept)
-        self._moving[:len(kept)] = kept
-        if before:
+        awake = self._awake[:self._woken]
+        self.workers.rows(len(awake), lambda first, last: _kernels.increments_move(
+            self._pixels, self._store, self._sight, (t, seen, fresh), self._lamp.waves,
+            self._numbers, awake, self._due, self._shown, self._courses, self._planes,
+            around, (first, last)), row_ns=_PIXEL_NS)
+        if fresh:
             self._unknown = np.flatnonzero(self._planes[2] == _UNKNOWN)
             self._held = np.flatnonzero(
                 (self._anchors["hot"] > _HOT) & (self._anchors["sampled"] > 0))
             self._fresh = True
         self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_image(
-            self._planes, around, (t, self._epoch_us), self._lamp.waves,
+            self._planes, around, (t, self._sight[-1]), self._lamp.waves,
             VALID_VARIANCE, (log, variance, valid.view(np.uint8)),
             (first, last)), row_ns=3.0 * self.shape[1])
         valid.reshape(-1)[self._held] = True    # their variance says how wrong
-
-    def _list_all(self, epoch_us: int) -> None:
-        """Let all pixels be shown anew, with planes that count from a time."""
-        self._epoch_us = epoch_us
-        self._listed = self._moving.size
-        self._moving[:] = self._all
 
     def _join(self, later: list[Waiting]) -> None:
         """Carry the estimate from later frames back to the first of them."""
@@ -550,12 +553,9 @@ class KalmanFilter(Reconstructor):
                 self._differ(old, new)
                 new.after_us = old.mid_us
         back = np.empty((2, *self.shape), np.float32)
-        nodes = [frame.nodes for frame in later]
-        seconds = np.zeros((len(later), self.shape[1]))
-        for i, (old, new) in enumerate(itertools.pairwise(later)):
-            seconds[i] = 1e-6 * (new.middle - old.middle)
+        arrays = [frame.arrays for frame in later]
         self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_back(
-            nodes, seconds, self._numbers, self._anchors, back, (first, last)))
+            arrays, self._due, self._numbers, self._anchors, back, (first, last)))
         self._back, self._backs, self._fresh = back, len(later), False
 
     # ---- states ------------------------------------------------------------------

@@ -12,7 +12,7 @@ from pdavis_cv.reconstruct.frames import log_exposure, usable_samples
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["ANCHOR_DTYPE", "COURSE_DTYPE", "EVENT_DTYPE", "NODE_DTYPE", "PIXEL_DTYPE",
-           "SHOWN_DTYPE", "Waiting", "thresholds_of"]
+           "SHOWN_DTYPE", "Waiting", "between", "thresholds_of"]
 
 _COVARIANCES = 6    # of level and both gains: a triangle of 3 x 3
 
@@ -22,22 +22,20 @@ EVENT_DTYPE = np.dtype([
     ("sign", "i1"), ("context", "i1"), ("run", "i1"), ("run_before", "i1")])
 PIXEL_DTYPE = np.dtype([
     ("at", EVENT_DTYPE), ("newest", EVENT_DTYPE),
-    ("at_index", "<i4"), ("newest_index", "<i4"),
-    ("next", "<i4"), ("flags", "<i4")])
+    ("quiet_t", "<i8"), ("at_index", "<i4"), ("newest_index", "<i4"),
+    ("next", "<i4")], align=True)
 NODE_DTYPE = np.dtype([
     ("mean", "<f8"), ("light", "<f8", 2), ("open_t", "<i8"),
-    ("around_t", "<i8"), ("open_variance", "<f4"),
-    ("around", "<f4"), ("log", "<f4"), ("variance", "<f4")])
+    ("around_t", "<i8"), ("open_variance", "<f4")], align=True)
 ANCHOR_DTYPE = np.dtype([
     ("log", "<f4"), ("gain", "<f4", 2), ("p", "<f4", _COVARIANCES), ("hot", "<f4"),
     ("motion", "<f4"), ("sampled", "<f4")])
 SHOWN_DTYPE = np.dtype([
-    ("until", "<i8"), ("last", "<i8"), ("next", "<i8"), ("ahead", "<f4"),
-    ("behind", "<f4"), ("p_ahead", "<f4"), ("p_behind", "<f4"), ("common", "<f4"),
-    ("theta", "<f4", 2), ("corner", "<f4"),
-    ("before", "<f4"), ("next_weight", "<f4"), ("drift", "<f4"), ("extra", "<f4"),
-    ("opened", "<f4"),
-    ("sign", "i1"), ("next_sign", "i1"), ("context", "i1"), ("state", "i1")])
+    ("last", "<i8"), ("next", "<i8"), ("ahead", "<f4"), ("behind", "<f4"),
+    ("p_ahead", "<f4"), ("p_behind", "<f4"), ("common", "<f4"), ("theta", "<f4", 2),
+    ("corner", "<f4"), ("before", "<f4"), ("next_weight", "<f4"), ("drift", "<f4"),
+    ("extra", "<f4"), ("opened", "<f4"), ("sign", "i1"), ("next_sign", "i1"),
+    ("context", "i1"), ("state", "i1")], align=True)
 COURSE_DTYPE = np.dtype([
     ("until", "<i8"), ("origin", "<i8"), ("last", "<i8"), ("level", "<f8", 3),
     ("rise", "<f4", 3), ("bend", "<f4", 3), ("open", "<f4", (3, 3)), ("before", "<f4"),
@@ -62,17 +60,24 @@ class Waiting:
         self, frame: ApsFrame, model: PixelModel, gains: NDArray[np.float32],
     ) -> None:
         self.frame, self.gains = frame, gains
-        self.exposure = np.stack([
-            np.broadcast_to(edge, frame.shape[1:]) for edge in (
-                frame.exposure_start_us, frame.exposure_end_us)]).astype(np.int64)
-        self.middle = np.asarray(frame.column_mid_us, np.int64)
-        self.mid_us, self.begin_us = int(self.middle.max()), int(self.exposure[0].min())
-        self.end_us = int(self.exposure[1].max())
+        # Of the columns: begin and end of the exposure, and its middle.
+        self.times = np.stack([
+            np.broadcast_to(time, frame.shape[1:]) for time in (
+                frame.exposure_start_us, frame.exposure_end_us, frame.column_mid_us)
+        ]).astype(np.int64)
+        self.begin_us, self.mid_us = int(self.times[0].min()), int(self.times[2].max())
+        self.end_us = int(self.times[1].max())
+        longest = int((self.times[1] - self.times[0]).max())
+        # Number of times in the exposure at which light is evaluated.
+        self.samples = 1 if longest <= SHORT_US else SAMPLES
         self.arrived_us = frame.available_us
         self.nodes = np.zeros(frame.shape, NODE_DTYPE)
-        self.around: NDArray[np.float64] | None = None  # see `increments_around`
-        self.after_us: int | None = None    # frame since which `around` of nodes counts
+        # ln DN/ms, its variance, and what other times and pixels say since `after_us`.
+        self.sample = np.zeros((3, *frame.shape), np.float32)
+        self.around: NDArray[np.float64] | None = None  # see `increments_node`
+        self.after_us: int | None = None    # the frame before
         self.known_us: int | None = None    # up to which events have been looked at
+        self.lit = False        # whether the lamp's ripple is in the nodes
         self.set_model(model)
 
     def set_model(self, model: PixelModel) -> None:
@@ -81,21 +86,39 @@ class Waiting:
         ms = np.exp(log_exposure(frame))
         full = np.maximum(dn + np.float32(model.black) * ms, 1)
         usable = (usable_samples(frame) > 0) & (dn >= 1)
-        self.nodes["log"] = np.log(full) - np.log(ms)
-        self.nodes["variance"] = np.where(usable, model.frame_variance(dn, ms), 0)
+        self.sample[0] = np.log(full) - np.log(ms)
+        self.sample[1] = np.where(usable, model.frame_variance(dn, ms), 0)
 
     @property
-    def samples(self) -> int:
-        """Number of times in the exposure at which light is evaluated."""
-        longest = int((self.exposure[1] - self.exposure[0]).max())
-        return 1 if longest <= SHORT_US else SAMPLES
+    def arrays(self) -> tuple[object, ...]:
+        """As kernels take them."""
+        return (self.nodes, self.sample, self.gains, self.times, self.samples,
+                self.around)
 
     def copy(self) -> Waiting:
         """Return an independent copy."""
         other = copy.copy(self)
-        other.nodes = self.nodes.copy()
+        other.nodes, other.sample = self.nodes.copy(), self.sample.copy()
         other.around = None if self.around is None else self.around.copy()
         return other
+
+
+def between(
+    before: Waiting | None, later: list[Waiting], shape: tuple[int, int], t_us: int
+) -> tuple[object, object, NDArray[np.float64]]:
+    """Return frames before and after a time, as kernels take them, and their middles.
+
+    A frame before that is not there has no sample.
+    """
+    here = np.full(shape[1], t_us)
+    middles = np.stack([here if before is None else before.times[2],
+                        later[0].times[2] if later else here]).astype(np.float64)
+    arrays = (
+        np.zeros(shape, NODE_DTYPE), np.zeros((3, *shape), np.float32),
+        np.zeros((*shape, 2), np.float32), np.zeros((3, shape[1]), np.int64), 1,
+        later[0].around if later else np.zeros((3, *shape))
+    ) if before is None else before.arrays
+    return arrays, later[0].arrays if later else None, middles
 
 
 def thresholds_of(
