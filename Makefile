@@ -6,6 +6,7 @@
 # make bits: the same images on a CPU without AVX2 and FMA (needs qemu-user).
 # make paper: the paper's figures, quickly, into paper/; make bench: times.
 # make soak MINUTES=40: stream simulated data, watch memory, handles and drift.
+# make oldest, make newest: the tests with the oldest and the newest dependencies.
 # make twice: the wheel, built twice, is the same to the bit.
 # Each makes .venv (or its own) first, with any python3 >= 3.11 that it finds.
 
@@ -17,7 +18,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 export PDAVIS_TEST_DATA := $(shell for d in "$$PDAVIS_TEST_DATA" ../shared/data \
 	shared/data; do [ -d "$$d" ] && cd "$$d" && pwd && break; done)
 
-.PHONY: demo test paper bench docs asan tsan bits fuzz soak twice clean
+.PHONY: demo test paper bench docs asan tsan bits fuzz soak twice oldest newest clean
 
 # One more than there are cores: some tests wait for time to pass.
 WORKERS := $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
@@ -50,6 +51,9 @@ soak: $(VENV)/.with-test
 
 twice:
 	.ci/twice
+
+oldest newest:
+	.ci/ends $@
 
 asan tsan: $(SOURCES)
 	.ci/sanitize $@

@@ -14,7 +14,7 @@ def opencv() -> Any:
     Returns
     -------
     module
-        OpenCV 4.10 or later, any of its four wheels.
+        OpenCV 4.6 or later, any of its four wheels, or the system's.
 
     Raises
     ------
@@ -28,8 +28,8 @@ def opencv() -> Any:
         if importlib.util.find_spec("cv2") is not None:
             raise ImportError(
                 "the OpenCV that is installed cannot be imported; wheels before 4.10, "
-                "and Debian's 4.6, are compiled for NumPy 1: install OpenCV 4.10 or "
-                f"later into an environment of this library ({error})") from error
+                "and Debian's 4.6, are compiled for NumPy 1: install NumPy 1.26, or "
+                f"OpenCV 4.10 or later ({error})") from error
         raise ImportError(
             "this needs OpenCV, which comes as an extra because its four wheels "
             "exclude each other: pip install opencv-contrib-python-headless, or any "

@@ -7,20 +7,11 @@ import textwrap
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import (
-    Any,
-    Concatenate,
-    ParamSpec,
-    Protocol,
-    Self,
-    TypeVar,
-    cast,
-    overload,
-)
+from typing import Any, Self, TypeVar
 
 from pdavis_cv._types import Parameters
 
-__all__ = ["OptionFacts", "Options", "documented", "names_options", "option", "takes"]
+__all__ = ["OptionFacts", "Options", "documented", "names_options", "option"]
 
 
 @dataclass(frozen=True)
@@ -147,24 +138,7 @@ def names_options(*lists: type[Options], rest: str = "parameters"
     return decorate
 
 
-_P = ParamSpec("_P")
-_Source = TypeVar("_Source", contravariant=True)
-_Made = TypeVar("_Made", covariant=True)
 _Given = TypeVar("_Given", bound=Options)
-
-
-class _TakesOptions(Protocol[_Source, _P, _Made]):
-    """A function of a source and options, as type checkers and editors see it."""
-
-    @overload
-    def __call__(
-        self, source: _Source, /, *_: _P.args, **options: _P.kwargs
-    ) -> _Made: ...
-
-    @overload
-    def __call__(
-        self, source: _Source, /, options: Options | None = None, **changes: Any
-    ) -> _Made: ...
 
 
 def changed(
@@ -183,22 +157,6 @@ def changed(
         raise TypeError(f"options must be {kind.__name__}, got {options!r:.60}; single "
                         "options are given by name")
     return options.replace(**changes)
-
-
-def takes(
-    options: Callable[_P, Options], rest: str = "parameters"
-) -> Callable[[Callable[Concatenate[_Source, ...], _Made]],
-              _TakesOptions[_Source, _P, _Made]]:
-    """Return a decorator of functions ``(source, options=None, **changes)``.
-
-    Signature, docstring and type checkers then name the options; see `names_options`.
-    """
-    def decorate(
-        function: Callable[Concatenate[_Source, ...], _Made]
-    ) -> _TakesOptions[_Source, _P, _Made]:
-        return cast("_TakesOptions[_Source, _P, _Made]", names_options(
-            cast("type[Options]", options), rest=rest)(function))
-    return decorate
 
 
 def documented(text: str | None, *lists: type[Options]) -> str:

@@ -372,6 +372,8 @@ class PolarFrame(Advises):
         self, dtype: DTypeLike | None = None, copy: bool | None = None
     ) -> NDArray[Any]:
         """Return `quad`, so that ``np.asarray(frame)`` copies nothing."""
+        if copy is None:    # NumPy 1 has no such value
+            return np.asarray(self.quad, dtype)
         return np.array(self.quad, dtype, copy=copy)
 
     def __repr__(self) -> str:

@@ -9,6 +9,7 @@ from homes import HOMES
 ROOT = Path(__file__).resolve().parents[1]
 
 LINES = (
+    ("__main__",),
     ("tools",),
     ("viewer",),
     ("adapters", "batch"),

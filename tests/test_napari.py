@@ -51,6 +51,8 @@ def test_an_exported_stack_is_three_named_scaled_layers(stack):
     for data, facts, _ in layers:
         assert data.shape[1:] == (8, 10)
         assert facts["scale"] == (0.02, 0.5, 0.5)
+        assert facts["units"] == ("s", "um", "um")
+        assert facts["axis_labels"] == ("t", "y", "x")
     limits = [facts["contrast_limits"] for _, facts, _ in layers]
     assert limits[1:] == [(0.0, math.pi), (0.0, 1.0)]
     assert 0 == limits[0][0] < 25 < limits[0][1] < 40
@@ -64,6 +66,28 @@ def test_a_recording_is_fused_into_three_layers(tmp_path, recording):
     assert [facts["name"] for _, facts, _ in layers] == ["s0", "aop", "dolp"]
     assert {data.dtype for data, _, _ in layers} == {np.dtype(np.float32)}
     assert layers[0][1]["scale"][0] == pytest.approx(0.05, abs=1e-3)
+
+
+def test_the_sample_recordings_are_offered(tmp_path):
+    npe2 = pytest.importorskip("npe2")
+    manifest = npe2.PluginManifest.from_file(
+        str(next(iter(adapters.__path__))) + "/napari.yaml")
+    offered = {one.key: one.command for one in manifest.contributions.sample_data}
+    assert set(offered) == {"fan", "tendon"}
+    made = {command.id: command.python_name.rpartition(":")[2]
+            for command in manifest.contributions.commands}
+    layers = getattr(napari_plugin, made[offered["tendon"]])()
+    assert [facts["name"] for _, facts, _ in layers] == ["s0", "aop", "dolp"]
+    assert layers[0][0].shape[1:] == (64, 96)
+    assert [facts["units"] for _, facts, _ in layers] == [("s", "pixel", "pixel")] * 3
+
+
+def test_napari_takes_the_layers():
+    napari = pytest.importorskip("napari")
+    for data, facts, kind in napari_plugin.fan():
+        layer = napari.layers.Layer.create(data, facts, kind)
+        assert layer.axis_labels == ("t", "y", "x")
+        assert [f"{unit:D}" for unit in layer.units] == ["second", "pixel", "pixel"]
 
 
 def test_the_widget_fuses_a_part_of_a_recording(tmp_path, recording):

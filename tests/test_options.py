@@ -14,6 +14,7 @@ from pdavis_cv.capture.video import CaptureKeywords
 from pdavis_cv.data import example_recording
 from pdavis_cv.fusion.options import AllKeywords, FusionKeywords
 from pdavis_cv.live import Session
+from pdavis_cv.reconstruct.methods import MethodKeywords, method_parameters
 from pdavis_cv.recording.options import SourceKeywords, SourceOptions
 from pdavis_cv.simulation.ideal import rotating_polarizer
 from pdavis_cv.tools import _flags, _options, export, fan
@@ -57,12 +58,20 @@ def offered_to_type_checkers(taker):
 
 
 def test_type_checkers_see_the_options_of_a_class():
-    for options, keywords in ((FusionOptions, FusionKeywords),
-                              (SourceOptions, SourceKeywords)):
+    for options, keywords, more in ((FusionOptions, FusionKeywords, MethodKeywords),
+                                    (SourceOptions, SourceKeywords, {})):
         types = {field.name: field.type for field in dataclasses.fields(options)}
-        assert told_of(keywords) == {name: types[name] for name in options.facts()}
+        told = {name: kind for name, kind in told_of(keywords).items()
+                if name not in getattr(more, "__annotations__", {})}
+        assert told == {name: types[name] for name in ("parameters", *options.facts())}
     assert told_of(AllKeywords) == told_of(SourceKeywords, FusionKeywords)
     assert offered_to_type_checkers(Session) == ["Unpack[AllKeywords]", "Any"]
+
+
+def test_type_checkers_see_the_parameters_of_every_method():
+    methods = ("frames", "events", "cf", "kalman", "firenet", "joint")
+    assert set(MethodKeywords.__annotations__) == {
+        name for method in methods for name in method_parameters(method)}
 
 
 def test_type_checkers_see_the_keywords_of_videocapture():

@@ -1,6 +1,7 @@
 import ast
 import os
 import re
+import runpy
 import subprocess
 import sys
 import tomllib
@@ -54,6 +55,36 @@ def test_every_folder_with_code_is_packaged(root):
     listed = project["tool"]["setuptools"]["packages"]
     assert names | {"pdavis_cv._kernels"} == set(listed)
     assert listed == sorted(listed)
+
+
+def test_the_version_is_the_same_everywhere(root):
+    for name, pattern in (
+            ("pyproject.toml", r'^version = "(.*)"'),
+            ("CITATION.cff", r"^version: (.*)"),
+            (".zenodo.json", r'"version": "(.*)"'),
+            ("recipe/meta.yaml", r'set version = "(.*)"')):
+        found = re.search(pattern, (root / name).read_text(), re.M)
+        assert found[1] == pdavis_cv.__version__, name
+
+
+def test_the_recipe_requires_what_the_package_does(root):
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    recipe = (root / "recipe" / "meta.yaml").read_text()
+    run = recipe.partition("  run:\n")[2].partition("\n\n")[0]
+    assert {line.strip("- ").replace(" ", "") for line in run.splitlines()} == {
+        "python", *project["dependencies"]}
+    assert f"license: {project['license']}" in recipe
+
+
+@pytest.mark.parametrize(("expression", "fine"), [
+    ("MIT", True), ("GPL-3.0-only AND MIT", False), ("GPL-3.0-only OR MIT", True),
+    ("MPL-2.0 AND MIT", False), ("(GPL-2.0-only OR MIT) AND BSD-3-Clause", True),
+    ("MIT AND (GPL-2.0-only OR GPL-3.0-only)", False),
+    ("Apache-2.0 WITH LLVM-exception", True), ("LicenseRef-any", False)])
+def test_licences_are_parsed(root, expression, fine):
+    pytest.importorskip("packaging.licenses")
+    sbom = runpy.run_path(str(root / ".ci" / "sbom.py"))
+    assert sbom["taken"](expression, sbom["PERMISSIVE"]) is fine
 
 
 def test_every_public_name_comes_from_its_home():

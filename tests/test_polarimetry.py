@@ -316,8 +316,9 @@ def test_an_array_of_a_frame_is_its_four_channels():
     assert np.shares_memory(np.asarray(frame), frame.quad)
     assert np.asarray(frame, np.float64).tolist() == frame.quad.tolist()
     assert np.array(frame).flags.writeable
-    with pytest.raises(ValueError, match="copy"):
-        np.array(frame, np.float64, copy=False)
+    if np.lib.NumpyVersion(np.__version__) >= "2.0.0":
+        with pytest.raises(ValueError, match="copy"):
+            np.array(frame, np.float64, copy=False)
 
 
 def test_a_notebook_shows_s0_aop_and_dolp():

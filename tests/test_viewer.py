@@ -399,6 +399,12 @@ def test_bodies_are_bounded_json(served):
     assert ask(served, "/status")[0] == 200
 
 
+def test_a_head_is_answered_as_a_get_without_its_body(served):
+    for path in ("/", "/status", "/snapshot.npz", "/stream.mjpg"):
+        assert ask(served, path, method="HEAD") == (200, b"")
+    assert ask(served, "/images", method="HEAD") == (404, b"")
+
+
 def test_a_client_that_goes_on_sending_is_told_why_it_is_refused(served):
     # A connection that is closed with bytes unread is reset.
     size = 8 << 20

@@ -30,6 +30,21 @@ COMMANDS = {
     "demo": "make pictures of the included recordings",
 }
 
+# For bash, and zsh by way of its bashcompinit.  Options are those that --help prints.
+COMPLETION = """\
+_pdavis() {{
+    local word="${{COMP_WORDS[COMP_CWORD]}}" words=
+    if [ "$COMP_CWORD" = 1 ]; then words="{commands}"
+    elif [ "${{word#-}}" != "$word" ]; then
+        words=$(pdavis "${{COMP_WORDS[1]}}" --help | grep -o -e '--[a-z][a-z0-9-]*' |
+            sort -u)
+    fi
+    COMPREPLY=($(compgen -W "$words" -- "$word"))
+}}
+[ -z "$ZSH_VERSION" ] || {{ autoload -U +X bashcompinit && bashcompinit; }}
+complete -o default -F _pdavis pdavis
+"""
+
 
 @command
 def main(argv: Sequence[str] | None = None) -> int:
@@ -47,7 +62,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("arguments", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
     parser.add_argument(
         "--version", action="version", version=f"pdavis_cv {__version__}")
+    parser.add_argument("--completion", action="store_true", help="print the "
+                        'completion of a shell: eval "$(pdavis --completion)"')
     args = parser.parse_args(argv)
+    if args.completion:
+        print(COMPLETION.format(commands=" ".join(COMMANDS)), end="")
+        return 0
     if args.command is None:
         parser.print_help()
         return 0

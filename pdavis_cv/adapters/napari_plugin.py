@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv.data import example_recording
 from pdavis_cv.fusion import fuse
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import INTENSITY, QUANTITIES
@@ -22,7 +23,8 @@ from pdavis_cv.render import aop_bgr
 if TYPE_CHECKING:
     import napari.types
 
-__all__ = ["fuse_recording", "get_reader", "read_recording", "read_stack"]
+__all__ = ["fan", "fuse_recording", "get_reader", "read_recording", "read_stack",
+           "tendon"]
 
 Layer = tuple[NDArray[np.float32], dict[str, Any], str]
 
@@ -67,6 +69,16 @@ def read_recording(path: str | Sequence[str]) -> list[Layer]:
     """
     with open_recording(path if isinstance(path, str) else path[0]) as recording:
         return _layers(fuse(recording))
+
+
+def fan() -> list[Layer]:
+    """Return the layers of the included recording of a wheel of polarizers."""
+    return read_recording(str(example_recording("fan")))
+
+
+def tendon() -> list[Layer]:
+    """Return the layers of the included recording of a loaded tendon."""
+    return read_recording(str(example_recording("tendon")))
 
 
 def fuse_recording(
@@ -119,7 +131,7 @@ def _layers(fused: Iterable[PolarFrame]) -> list[Layer]:
         for name in _QUANTITIES}
     times = [image.t_us or 0 for image in images]
     step = float(np.median(np.diff(times))) / 1e6 if len(times) > 1 else 1.0
-    return [_layer(name, plane.astype(np.float32), (step, 1.0, 1.0),
+    return [_layer(name, plane.astype(np.float32), (step, None),
                    dict(images[0].provenance)) for name, plane in planes.items()]
 
 
@@ -145,25 +157,31 @@ def read_stack(path: str | Sequence[str]) -> list[Layer]:
         raise ValueError(f"{first}: its OME-XML must describe pixels")
     sizes = [int(pixels.attrib[f"Size{axis}"]) for axis in "TCYX"]
     data = tifffile.imread(first).reshape(sizes)
-    size_um = float(pixels.get("PhysicalSizeX", "1"))
-    scale = (float(pixels.get("TimeIncrement", "1")), size_um, size_um)
+    size_um = pixels.get("PhysicalSizeX")
+    scale = (float(pixels.get("TimeIncrement", "1")),
+             float(size_um) if size_um else None)
     facts = json.loads(value.text) if value is not None and value.text else {}
     names = [channel.attrib["Name"] for channel in pixels.findall("{*}Channel")]
     return [_layer(name, data[:, c], scale, facts) for c, name in enumerate(names)]
 
 
 def _layer(
-    name: str, data: NDArray[np.float32], scale: tuple[float, float, float],
+    name: str, data: NDArray[np.float32], scale: tuple[float, float | None],
     facts: dict[str, Any],
 ) -> Layer:
+    """Return a layer; its scale is s per image and um per pixel, None if not known."""
     # A stack may have a quantity of a package that is not installed here.
     one = QUANTITIES.get(name) or QUANTITIES["s0"]
     top = 1.0
     if one.unit == INTENSITY:
         usable = data[np.isfinite(data)]
         top = (float(np.percentile(usable, _BRIGHT)) if usable.size else 0.0) or 1.0
+    step, size_um = scale
+    side = size_um or 1.0
+    unit = "um" if size_um else "pixel"
     return data, {
-        "name": name, "scale": scale, "contrast_limits": one.shown(top),
+        "name": name, "scale": (step, side, side), "units": ("s", unit, unit),
+        "axis_labels": ("t", "y", "x"), "contrast_limits": one.shown(top),
         "colormap": _colormap(one.colours), "metadata": facts}, "image"
 
 

@@ -6,11 +6,12 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from types import ModuleType
-from typing import Any
+from typing import Any, Unpack
 
 from pdavis_cv._opencv import native_capture, opencv
 from pdavis_cv.capture import VideoCapture
 from pdavis_cv.capture.source import checked_parameters, is_ours
+from pdavis_cv.capture.video import CaptureKeywords
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.options import SourceOptions, source_part
 
@@ -19,7 +20,7 @@ __all__ = ["patched_cv2"]
 
 @contextlib.contextmanager
 def patched_cv2(
-    *modules: ModuleType, mosaics: bool = False, **parameters: Any
+    *modules: ModuleType, mosaics: bool = False, **parameters: Unpack[CaptureKeywords]
 ) -> Iterator[type[VideoCapture]]:
     """Replace ``cv2.VideoCapture`` by `VideoCapture` in a ``with`` block.
 
@@ -60,7 +61,7 @@ def patched_cv2(
                if name not in ("output", "gain", "gamma", "log")}
     checked_parameters(of_fuse)
     cv2, real = opencv(), native_capture()
-    patched = _patched(parameters, mosaics, real)
+    patched = _patched(dict(parameters), mosaics, real)
     originals = [(module, module.VideoCapture) for module in {cv2, *modules}]
     outer = cv2.VideoCapture
     originals += [(module, outer) for module in _holding(outer)

@@ -26,6 +26,7 @@ from pdavis_cv.capture.outputs import number_of
 from pdavis_cv.capture.session import FAILURES, Session, View
 from pdavis_cv.capture.source import checked_parameters, is_ours, parameters_of
 from pdavis_cv.fusion.options import AllKeywords, FusionOptions
+from pdavis_cv.reconstruct.base import Factory
 from pdavis_cv.recording.base import Source
 from pdavis_cv.recording.options import SourceOptions
 
@@ -127,6 +128,8 @@ class VideoCapture(Advises):
         filename: Openable = ...,
         apiPreference: int = ...,
         params: Sequence[float] = ...,
+        *,
+        method: Factory,
         **keywords: Any,
     ) -> None: ...
 
@@ -242,7 +245,9 @@ class VideoCapture(Advises):
         except ImportError as error:
             return self._fail(function, str(error))
         arguments = (backend, [int(v) for v in values]) if values else (backend,)
-        if not foreign.open(source, *arguments):
+        opened = foreign.open(os.fspath(source) if isinstance(
+            source, os.PathLike) else source, *arguments)   # OpenCV 4.6 takes no Path
+        if not opened:
             return self._fail(function, f"cv2.VideoCapture cannot open {source!r}")
         foreign.setExceptionMode(self._exceptions)
         self._foreign, self._source = foreign, source

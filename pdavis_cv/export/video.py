@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
-from pdavis_cv._opencv import opencv, set_log_level
+from pdavis_cv._opencv import needs_opencv, opencv, set_log_level
 from pdavis_cv._types import Facts, Image
 from pdavis_cv.export.embedded import embed, embed_png
 from pdavis_cv.export.files import SeriesFile
@@ -294,6 +294,8 @@ class PlaneVideo(VideoFile):
     ------
     ValueError
         If the suffix is another, or `high` is not above `low`.
+    ImportError
+        If OpenCV is older than 4.7.
     """
 
     _grey = True
@@ -304,6 +306,8 @@ class PlaneVideo(VideoFile):
     ) -> None:
         if not high > low:
             raise ValueError(f"high must be above low {low}, got {high}")
+        # The constant is as old as the 16-bit codec.
+        needs_opencv("IMWRITE_JPEG_SAMPLING_FACTOR", "4.7", "a lossless 16-bit video")
         self.low, self.high, self.clipped = float(low), float(high), 0
         super().__init__(
             path, fps, None if facts is None else {**facts, "scale": self.scale})

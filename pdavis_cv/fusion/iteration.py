@@ -5,13 +5,15 @@ import math
 import threading
 from collections import deque
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Unpack, overload
 
 from pdavis_cv._advice import Advises
+from pdavis_cv._options import names_options
 from pdavis_cv._workers import Begun
 from pdavis_cv.fusion.engine import Fusion
-from pdavis_cv.fusion.options import FusionOptions, takes_options
+from pdavis_cv.fusion.options import FusionKeywords, FusionOptions
 from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.reconstruct.base import Factory
 from pdavis_cv.recording.base import Recording, Source
 
 __all__ = ["ReadAhead", "fuse"]
@@ -25,7 +27,21 @@ LEAST_PIXELS = 1 << 16
 """Smallest image that another thread is given: with smaller ones it gains little."""
 
 
-@takes_options
+@overload
+def fuse(
+    recording: Source, options: FusionOptions | None = ...,
+    **changes: Unpack[FusionKeywords],
+) -> Fusion | ReadAhead: ...
+
+
+@overload
+def fuse(
+    recording: Source, options: FusionOptions | None = ..., *, method: Factory,
+    **changes: Any,
+) -> Fusion | ReadAhead: ...
+
+
+@names_options(FusionOptions, rest="method_parameters")
 def fuse(
     recording: Source, options: FusionOptions | None = None, **changes: Any
 ) -> Fusion | ReadAhead:

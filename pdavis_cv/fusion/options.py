@@ -10,26 +10,26 @@ import operator
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._checks import checked_rate, plain
-from pdavis_cv._options import Options, documented, option, takes
+from pdavis_cv._options import Options, documented, option
 from pdavis_cv._types import Parameters
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.calibration.thresholds import checked_choice
 from pdavis_cv.events import checked_time
 from pdavis_cv.mosaic import DEMOSAIC_METHODS
 from pdavis_cv.reconstruct.base import Factory
-from pdavis_cv.reconstruct.methods import METHODS, factory_of
+from pdavis_cv.reconstruct.methods import METHODS, MethodKeywords, factory_of
 from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.recording.options import SourceKeywords, SourceOptions
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Layout
 
 __all__ = ["AllKeywords", "FusionKeywords", "FusionOptions", "check_times_fit",
-           "fusion_part", "takes_options"]
+           "fusion_part"]
 
 _MOST_OFFSET_US = 1_000_000     # a larger offset means different cameras
 
@@ -200,13 +200,15 @@ class FusionOptions(Options):
         return None if self.fps is None else Fraction(self.fps)
 
 
-class FusionKeywords(TypedDict, total=False):
+class FusionKeywords(MethodKeywords, total=False):
     """The fields of FusionOptions as keywords, for type checkers and editors.
 
-    A class that takes the options unpacks it in an overload of its ``__init__``, as
-    type checkers do not see the signature that `names_options` writes.
+    What takes the options unpacks it, as type checkers do not see the signature that
+    `names_options` writes.  Parameters of other packages' methods are given in
+    `parameters`, or beside a `method` that is a class or a function.
     """
 
+    parameters: Parameters
     method: str | Factory | None
     fps: float | None
     times_us: ArrayLike | None
@@ -327,9 +329,5 @@ def _checked_denoise(value: Any) -> bool | dict[str, Any]:
             f"{type(value).__name__}")
     return bool(value)
 
-
-takes_options = takes(FusionOptions, rest="method_parameters")
-"""Decorate a function ``(source, options=None, **changes)`` so that its signature and
-docstring, and type checkers, name the options."""
 
 FusionOptions.__doc__ = documented(FusionOptions.__doc__, FusionOptions)

@@ -4,15 +4,15 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Unpack
 from urllib.parse import parse_qsl
 
-from pdavis_cv._options import changed, takes
+from pdavis_cv._options import changed, names_options
 from pdavis_cv.errors import DeviceError
 from pdavis_cv.live.base import Address, LiveSource
 from pdavis_cv.recording.base import Source
 from pdavis_cv.recording.open import AnySource, open_recording
-from pdavis_cv.recording.options import SourceOptions
+from pdavis_cv.recording.options import SourceKeywords, SourceOptions
 from pdavis_cv.registry import Registry
 
 __all__ = ["SOURCES", "is_address", "open_source", "options_of"]
@@ -43,9 +43,10 @@ def is_address(where: object) -> bool:
         where.partition(":")[0] in SOURCES)
 
 
-@takes(SourceOptions)
+@names_options(SourceOptions)
 def open_source(
-    where: AnySource | Source, options: SourceOptions | None = None, **changes: Any,
+    where: AnySource | Source, options: SourceOptions | None = None,
+    **changes: Unpack[SourceKeywords],
 ) -> Source:
     """Open a recording, or a device by its address.
 

@@ -16,7 +16,12 @@ from pdavis_cv._options import names_options
 from pdavis_cv._types import Events
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.fusion import Fusion
-from pdavis_cv.fusion.options import AllKeywords, FusionOptions, fusion_part
+from pdavis_cv.fusion.options import (
+    AllKeywords,
+    FusionKeywords,
+    FusionOptions,
+    fusion_part,
+)
 from pdavis_cv.live.address import open_source
 from pdavis_cv.live.base import endless
 from pdavis_cv.live.clock import HostClock
@@ -24,6 +29,7 @@ from pdavis_cv.live.inbox import Inbox, Waiting
 from pdavis_cv.live.recorder import Recorder
 from pdavis_cv.live.statistics import Counter, Patience, SessionStats
 from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.reconstruct.base import Factory
 from pdavis_cv.recording.base import (
     ApsFrame,
     Packet,
@@ -141,7 +147,7 @@ class Session:
     @overload
     def __init__(
         self, where: str | os.PathLike[str] | Source | RecordingInfo, *,
-        record: str | os.PathLike[str] | None = ..., **parameters: Any,
+        record: str | os.PathLike[str] | None = ..., method: Factory, **parameters: Any,
     ) -> None: ...
 
     def __init__(
@@ -332,7 +338,7 @@ class Session:
             self._state, self._error = state, error
             self._change.notify_all()
 
-    def change(self, **options: Any) -> None:
+    def change(self, **options: Unpack[FusionKeywords]) -> None:
         """Continue with other options of `fuse`; the method's state is reset.
 
         Parameters

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Collection
+from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._types import Parameters
 from pdavis_cv.reconstruct.base import Factory, Reconstructor
@@ -17,8 +19,12 @@ from pdavis_cv.reconstruct.denoise import Denoised
 from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.registry import Registry, instead
 
-__all__ = ["DEFAULT_METHOD", "METHODS", "default_method", "factory_of",
-           "make_reconstructor", "method_parameters"]
+if TYPE_CHECKING:
+    from pdavis_cv.pixel.model import PixelModel
+    from pdavis_cv.reconstruct.weights import Weights
+
+__all__ = ["DEFAULT_METHOD", "METHODS", "MethodKeywords", "default_method",
+           "factory_of", "make_reconstructor", "method_parameters"]
 
 METHODS: Registry[Factory] = Registry("method", {
     "frames": "pdavis_cv.reconstruct.frames:FrameHold",
@@ -32,6 +38,29 @@ METHODS: Registry[Factory] = Registry("method", {
 
 DEFAULT_METHOD = "kalman"
 """Method of ``fuse(method=None)`` for a recording with both events and frames."""
+
+
+class MethodKeywords(TypedDict, total=False):
+    """The parameters of the library's methods, for type checkers and editors."""
+
+    adaptive_gain: bool
+    backend: str
+    bandwidth: tuple[float, float] | None
+    correct_phase: bool | None
+    cutoff_hz: float
+    hold: str | bool | None
+    lookahead_us: int | None
+    mode: str
+    model: PixelModel | None
+    offsets: str
+    radius: int | None
+    ratio_sigma: float | None
+    rule: str
+    scaling: str | None
+    table: ArrayLike | None
+    weights: str | Path | Weights | None
+    window_us: int
+
 
 # Parameters of a method that are not its user's: the caller of the factory has them.
 _GIVEN = ("theta_on", "theta_off", "response")

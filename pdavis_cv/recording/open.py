@@ -5,14 +5,14 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Unpack
 
-from pdavis_cv._options import changed, takes
+from pdavis_cv._options import changed, names_options
 from pdavis_cv._remote import as_path, is_remote
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.images.reader import is_four_planes
-from pdavis_cv.recording.options import SourceOptions
+from pdavis_cv.recording.options import SourceKeywords, SourceOptions
 from pdavis_cv.recording.registry import FORMATS, first_bytes, format_of, read_with
 from pdavis_cv.recording.text_form import PNM
 
@@ -23,10 +23,10 @@ AnySource = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 """What can be opened: a path, a pattern of names, or several images in their order."""
 
 
-@takes(SourceOptions)
+@names_options(SourceOptions)
 def open_recording(
     source: AnySource | Recording, options: SourceOptions | None = None,
-    **changes: Any,
+    **changes: Unpack[SourceKeywords],
 ) -> Recording:
     """Open a recording of any format, which its first bytes determine, not its name.
 

@@ -12,6 +12,7 @@ from typing import Any, TypedDict
 
 from pdavis_cv._checks import checked_rate, sensor_shape, whole_number
 from pdavis_cv._options import Options, documented, option
+from pdavis_cv._types import Parameters
 from pdavis_cv.sensor import SENSORS, Layout, Sensor
 
 __all__ = ["MAX_SIDE", "MOST_DN", "SourceKeywords", "SourceOptions", "source_part"]
@@ -150,8 +151,12 @@ class SourceOptions(Options):
 
 
 class SourceKeywords(TypedDict, total=False):
-    """The fields of SourceOptions as keywords, for type checkers and editors."""
+    """The fields of SourceOptions as keywords, for type checkers and editors.
 
+    Options of other packages' formats are given in `parameters`.
+    """
+
+    parameters: Parameters
     layout: Layout | str | None
     sensor: Sensor | str | None
     sensor_size: tuple[int, int] | None

@@ -154,10 +154,12 @@ def _single_events(pairs: NDArray[np.unsignedinteger], high_first: bool
     """
     high, pixels = (pairs if high_first else pairs[:, ::-1]).T
     events = high >> 28 <= 1
-    counts = np.where(events, np.bitwise_count(pixels), 1)
+    row, column = np.nonzero(
+        pixels[events, None] >> np.arange(32, dtype=np.uint32) & 1)
+    counts = np.ones(len(high), np.int64)
+    counts[events] = np.bincount(row, minlength=np.count_nonzero(events))
     words: NDArray[np.uint32] = np.repeat(high, counts)
     vectors = np.repeat(events, counts)
-    column = np.nonzero(pixels[events, None] >> np.arange(32, dtype=np.uint32) & 1)[1]
     x = (words[vectors] >> 11) + column.astype(np.uint32) & 0x7FF
     words[vectors] = words[vectors] & ~np.uint32(0x7FF << 11) | x << 11
     return words

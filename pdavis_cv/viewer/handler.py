@@ -156,13 +156,20 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Answer a GET."""
-        self._answer({path: self._file for path in _FILES} | {
-            "/images": self._images_asked, "/status": self._status,
-            "/snapshot.npz": self._snapshot, "/stream.mjpg": self._stream})
+        self._answer(self._readable() | {"/images": self._images_asked})
+
+    def do_HEAD(self) -> None:
+        """Answer a HEAD: as a GET, without the body."""
+        self._answer(self._readable())
 
     def do_POST(self) -> None:
         """Answer a POST."""
         self._answer({"/command": self._command})
+
+    def _readable(self) -> dict[str, Callable[[], None]]:
+        return {path: self._file for path in _FILES} | {
+            "/status": self._status,
+            "/snapshot.npz": self._snapshot, "/stream.mjpg": self._stream}
 
     def _answer(self, known: dict[str, Callable[[], None]]) -> None:
         try:
@@ -203,7 +210,7 @@ class Handler(BaseHTTPRequestHandler):
                                 f"{origin[:80]!r}")
         # Requests for pictures that another site's page embeds have no Origin.
         foreign = self.headers.get("Sec-Fetch-Site") == "cross-site"
-        if foreign and not (self.where == "/" and self.command == "GET"):
+        if foreign and not (self.where == "/" and self.command in ("GET", "HEAD")):
             raise _Refused(403, "requests of other sites are not answered")
 
     def _refuse(self, status: int, reason: str) -> None:
@@ -221,7 +228,8 @@ class Handler(BaseHTTPRequestHandler):
         if self.close_connection:
             self.send_header("Connection", "close")
         self.end_headers()
-        self.wfile.write(body)
+        if self.command != "HEAD":
+            self.wfile.write(body)
 
     def _file(self) -> None:
         name, kind = _FILES[self.where]
@@ -337,6 +345,8 @@ class Handler(BaseHTTPRequestHandler):
                         f"multipart/x-mixed-replace; boundary={BOUNDARY}")
                     self.send_header("Connection", "close")
                     self.end_headers()
+                if self.command == "HEAD":
+                    return
                 self.wfile.write(
                     f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\n"
                     f"Content-Length: {len(data)}\r\n\r\n".encode() + data + b"\r\n")

@@ -31,6 +31,8 @@ __all__ = ["archive", "jpeg", "levels_of", "missing", "palettes", "pane", "plane
            "saturated"]
 
 JPEG_QUALITY = 95
+_JPEG_SAMPLING, _JPEG_444 = 7, 0x111111
+"""IMWRITE_JPEG_SAMPLING_FACTOR and its value, which OpenCV before 4.7 ignores."""
 PERCENTILES = (0.5, 99.5)
 """Of S0's pixels, shown black and white unless the page says.  Saturated ones count, as
 they are bright at least."""
@@ -223,6 +225,8 @@ def pane(name: str, show: Show, image: PolarFrame) -> NDArray[np.uint8]:
 def jpeg(picture: NDArray[np.uint8]) -> bytes:
     """Return a picture as JPEG 4:4:4, because subsampled colour distorts AoP.
 
+    OpenCV 4.6 can only write 4:2:0.
+
     Raises
     ------
     ImportError
@@ -230,8 +234,7 @@ def jpeg(picture: NDArray[np.uint8]) -> bytes:
     """
     cv2 = opencv()
     done, data = cv2.imencode(".jpg", picture, [
-        cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
-        cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444])
+        cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, _JPEG_SAMPLING, _JPEG_444])
     if not done:
         raise ValueError("cv2 could not encode a picture")
     return bytes(data)

@@ -7,8 +7,9 @@ import ssl
 import threading
 from http.server import ThreadingHTTPServer
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, Unpack
 
+from pdavis_cv.fusion.options import AllKeywords
 from pdavis_cv.live import LOOPBACK
 from pdavis_cv.viewer.handler import PATIENCE_S, Handler
 from pdavis_cv.viewer.show import Show, show_of
@@ -131,7 +132,7 @@ class Server:
 def serve(
     where: Any, *, host: str = "127.0.0.1", port: int = PORT,
     record_to: str | os.PathLike[str] = ".", context: ssl.SSLContext | None = None,
-    **fuse_parameters: Any,
+    **fuse_parameters: Unpack[AllKeywords],
 ) -> Server:
     """Show a recording or a live source in browsers, and stream it as MJPEG.
 
@@ -174,7 +175,7 @@ def serve(
     True
     """
     token = None if host in LOOPBACK else secrets.token_urlsafe(16)
-    show = show_of(where, record_to, fuse_parameters)
+    show = show_of(where, record_to, dict(fuse_parameters))
     try:
         return Server(show, host, port, token, context)
     except BaseException:
@@ -182,7 +183,7 @@ def serve(
         raise
 
 
-def view(where: Any, **fuse_parameters: Any) -> Server:
+def view(where: Any, **fuse_parameters: Unpack[AllKeywords]) -> Server:
     """Show a recording or a live source in a notebook; `serve` on any free port.
 
     Parameters
