@@ -5,11 +5,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import (
-    checked_threshold,
     output,
     sensor_shape,
 )
@@ -148,10 +147,9 @@ def accumulate(
     *,
     start_us: int | None = None,
     stop_us: int | None = None,
-    theta: tuple[ArrayLike, ArrayLike] | None = None,
-    out: NDArray[Any] | None = None,
-) -> NDArray[Any]:
-    """Count events per pixel and polarity, or sum their changes of log intensity.
+    out: NDArray[np.int32] | None = None,
+) -> NDArray[np.int32]:
+    """Count events per pixel and polarity.
 
     Parameters
     ----------
@@ -161,24 +159,19 @@ def accumulate(
         Sensor (height, width), e.g. ``(260, 346)``.
     start_us, stop_us : int, optional
         Half-open interval [start_us, stop_us); default all.
-    theta : (array_like, array_like), optional
-        ON and OFF threshold, positive magnitudes in natural-log units, scalars or
-        (H, W).
-    out : ndarray of the result's shape and dtype, optional
+    out : ndarray of int32, shape (2, H, W), optional
         Receives the result; overwritten.
 
     Returns
     -------
     ndarray of int32, shape (2, H, W)
-        Counts; plane 0 is OFF, plane 1 is ON.  With ``theta`` instead:
-    ndarray of float32, shape (H, W)
-        ``theta_on * N_on - theta_off * N_off``.
+        Counts; plane 0 is OFF, plane 1 is ON.
 
     Raises
     ------
     ValueError
         If an event lies outside ``shape``, inside the interval or not; the message
-        names the first one.  If ``theta`` or ``out`` is unfit.
+        names the first one.  If ``out`` is unfit.
     TypeError
         If ``out`` has another dtype.
     """
@@ -187,19 +180,10 @@ def accumulate(
     start = int(bounds.min) if start_us is None else checked_time(
         "start_us", start_us)
     stop = int(bounds.max) if stop_us is None else checked_time("stop_us", stop_us)
-    if theta is None:
-        counts = output(out, (2, *size), np.int32, events)
-        counts.fill(0)
-    else:
-        on, off = (checked_threshold(f"theta ({name})", value, size)
-                   for name, value in zip(("ON", "OFF"), theta, strict=True))
-        total = output(out, size, np.float32, events)
-        counts = np.zeros((2, *size), np.int32)
+    counts = output(out, (2, *size), np.int32, events)
+    counts.fill(0)
     _all_taken(events, _kernels.count(events, start, stop, counts), size)
-    if theta is None:
-        return counts
-    total[:] = counts[1] * on - counts[0] * off
-    return total
+    return counts
 
 
 def _all_taken(events: Events, taken: int, shape: tuple[int, int]) -> None:

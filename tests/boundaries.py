@@ -221,7 +221,7 @@ def table():
 
     rows = [
         ("accumulate", p.accumulate, {
-            "events": events, "shape": SIZE, "theta": (0.2, 0.2), **span}),
+            "events": events, "shape": SIZE, **span}),
         ("as_events", p.as_events, {"events": events}),
         ("aop", p.aop, {"s1": plane, "s2": plane}),
         ("dolp", p.dolp, {"s0": plane, "s1": plane, "s2": plane}),

@@ -3,17 +3,15 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import dataclasses
 import datetime
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
-
-import numpy as np
 
 from pdavis_cv import Layout, Sensor
 from pdavis_cv.calibration.thresholds import thresholds_from_biases
+from pdavis_cv.export.files import plain
 from pdavis_cv.fusion.learning import learned_pixels
 from pdavis_cv.recording.advice import Advice, advise
 from pdavis_cv.recording.base import Recording, RecordingInfo, Report
@@ -39,14 +37,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         problems = recording.problems
         name = args.file if isinstance(args.file, str) else recording.name
         if args.json:
-            facts = {"file": name, "info": _plain(recording.info),
-                     "facts": _plain(_known(recording.info)),
+            facts = {"file": name, "info": recording.info,
+                     "facts": _known(recording.info),
                      "assumed": assumptions(recording.info.facts),
-                     "problems": _plain(list(problems))}
+                     "problems": list(problems)}
             if report is not None:
-                facts["scan"] = _plain(report)
-                facts["advice"] = _plain(advice)
-            json.dump(facts, sys.stdout, indent=2)
+                facts["scan"] = report
+                facts["advice"] = advice
+            json.dump(facts, sys.stdout, indent=2, default=_plain)
             print()
             return 0
         print(name)
@@ -166,23 +164,10 @@ def _count(count: int | None, rate: float | None) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value that JSON can represent."""
+    """Return a value that JSON can represent, for `json.dump`."""
     if isinstance(value, Layout):
-        return [list(row) for row in value.angles_deg]
-    if isinstance(value, Sensor):
-        return value.name
-    if dataclasses.is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name))
-                for field in dataclasses.fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return value.item()
-    if value is None or isinstance(value, str | int | float | bool):
-        return value
-    return str(value)
+        return value.angles_deg
+    return value.name if isinstance(value, Sensor) else plain(value)
 
 
 if __name__ == "__main__":

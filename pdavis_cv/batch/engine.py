@@ -395,7 +395,7 @@ class _Progress:
     def __init__(
         self, results: Results, total: int | None, show: Callable[[int, int], None]
     ) -> None:
-        self._show, self._total = show, total
+        self._show = show
         host = platform.node()
         self._results, self._run = results, f"{host}-{os.getpid()}-{id(self):x}"
         self._done = self._failed = 0

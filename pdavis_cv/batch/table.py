@@ -4,7 +4,7 @@ from __future__ import annotations
 import html
 import importlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from string import Template
 from typing import Any
@@ -74,13 +74,10 @@ class Table(Sequence[Row]):
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns: recording, state, error, options, figures, others."""
-        return self._columns(self)
-
-    def _columns(self, rows: Iterable[Row]) -> tuple[str, ...]:
         options: dict[str, None] = {}
         figures: dict[str, None] = {}
         error = False
-        for row in rows:
+        for row in self:
             options |= dict.fromkeys(row["options"])
             figures |= dict.fromkeys(row["figures"])
             error |= bool(row["error"])

@@ -137,7 +137,6 @@ class Learning:
     ) -> None:
         self._lookahead_us = lookahead_us or 0
         self._info, self._calibration = source.info, options.calibration
-        self._passes = options.causal
         on, off = resolve_thresholds(
             source, options.thresholds, options.nominal_thresholds, self._calibration)
         known = dict(parameters)
