@@ -30,7 +30,7 @@ CAP_PROP_PDAVIS_FPS = 94003          # set: images per second of recording time
 CAP_PROP_PDAVIS_CAPTURE_FPS = 94004  # frames per second of the camera
 CAP_PROP_PDAVIS_EXPOSURE_US = 94005  # of the first frame
 CAP_PROP_PDAVIS_LAYOUT = 94006       # set: cell as digits angle/45, 3201 = PDAVIS
-CAP_PROP_PDAVIS_DEMOSAIC = 94007     # set: see CODE_OF_DEMOSAIC
+CAP_PROP_PDAVIS_DEMOSAIC = 94007     # set: position in DEMOSAIC_METHODS
 CAP_PROP_PDAVIS_START_US = 94008     # time of the first image
 CAP_PROP_PDAVIS_POS_US = 94009       # time of the last grabbed image
 CAP_PROP_PDAVIS_CAUSAL = 94010       # set: 1 = causal, see FusionOptions
@@ -38,9 +38,6 @@ CAP_PROP_PDAVIS_GAIN = 94011         # set: brightness of the grey picture
 CAP_PROP_PDAVIS_GAMMA = 94012        # set: grey = 255 * x ** (1 / gamma)
 CAP_PROP_PDAVIS_LOG = 94013          # set: 1 = logarithmic grey
 CAP_PROP_PDAVIS_WHITE = 94014        # S0 / 2 that is white at gain 1
-
-CODE_OF_DEMOSAIC = ("bilinear", "superpixel", "binned", "guided")
-"""Demosaicing methods by number; new ones are appended."""
 
 # OpenCV's own constants, equal in all versions: timeouts of a live source, ms.
 CAP_PROP_OPEN_TIMEOUT_MSEC = 53

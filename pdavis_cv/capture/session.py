@@ -25,7 +25,7 @@ from pdavis_cv.errors import PdavisError
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.fusion.options import fusion_part
 from pdavis_cv.live import Session as LiveSession
-from pdavis_cv.mosaic import HALF_SIZE
+from pdavis_cv.mosaic import DEMOSAIC_METHODS, HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.base import ApsFrame, Recording, Source
@@ -346,7 +346,7 @@ _GETTERS: dict[int, Callable[[Session], float | None]] = {
     c.CAP_PROP_PDAVIS_EXPOSURE_US: Session._exposure_us,
     c.CAP_PROP_PDAVIS_LAYOUT: lambda s: float(layout_code(s.cursor.fusion.layout)),
     c.CAP_PROP_PDAVIS_DEMOSAIC: lambda s: float(
-        c.CODE_OF_DEMOSAIC.index(s.cursor.fusion.provenance["demosaic"])),
+        DEMOSAIC_METHODS.index(s.cursor.fusion.provenance["demosaic"])),
     c.CAP_PROP_PDAVIS_START_US: lambda s: _time(s._start_us()),
     c.CAP_PROP_PDAVIS_POS_US: lambda s: _time(s.cursor.t_us),
     c.CAP_PROP_PDAVIS_CAUSAL: lambda s: float(s.cursor.fusion.provenance["causal"]),

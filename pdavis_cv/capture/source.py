@@ -11,6 +11,7 @@ from pdavis_cv.capture.outputs import output_at
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.live import is_address, open_source
 from pdavis_cv.live.camera import address_of
+from pdavis_cv.mosaic import DEMOSAIC_METHODS
 from pdavis_cv.reconstruct.methods import METHODS, method_parameters
 from pdavis_cv.recording.base import Source
 from pdavis_cv.recording.options import SourceOptions, source_part
@@ -152,7 +153,7 @@ def decoded_value(name: str, value: float) -> Any:
             return None
     if name == "layout":
         return layout_of_code(value)
-    choices = tuple(METHODS) if name == "method" else c.CODE_OF_DEMOSAIC
+    choices = tuple(METHODS) if name == "method" else DEMOSAIC_METHODS
     known = 0 <= value < len(choices) and value == int(value)
     return choices[int(value)] if known else None
 
