@@ -15,7 +15,7 @@ from pdavis_cv.render.colours import (
     aop_bgr,
     dolp_bgr,
 )
-from pdavis_cv.render.legends import DARK, even, panel, tile
+from pdavis_cv.render.legends import DARK, even, panel, stack, tile
 from pdavis_cv.render.overlay import fade_aop, reliable
 from pdavis_cv.render.tone import ToneCurve
 
@@ -132,18 +132,7 @@ def fan_sheet(
                 (colour if marks is None or i else marks(colour), "AoP", "aop"),
                 (dolp_bgr(frame.dolp, frame.valid), "DoLP", "dolp"))],
             columns=3, title="" if i else title, style=style))
-    return _below(*sheets)
-
-
-def _below(*sheets: Picture) -> Picture:
-    """Stack sheets vertically on black, with even sides."""
-    sheet = np.zeros((sum(part.shape[0] for part in sheets),
-                      max(part.shape[1] for part in sheets), 3), np.uint8)
-    top = 0
-    for part in sheets:
-        sheet[top:top + part.shape[0], :part.shape[1]] = part
-        top += part.shape[0]
-    return np.asarray(even(sheet), np.uint8)
+    return even(stack(sheets))
 
 
 def tendon_sheet(
@@ -189,7 +178,7 @@ def tendon_sheet(
         panel(colour if marks is None else marks(colour), f"{name}: DoLP",
               legend="dolp", end=f"{top:.3g}", style=style)],
         columns=3, title=title, style=style)
-    return _below(upper, below)
+    return even(stack((upper, below)))
 
 
 def _to_height(picture: Picture, height: int, scale: int) -> Picture:

@@ -122,20 +122,6 @@ class ToneCurve:
         grey = np.rint(255 * x ** (1 / self.gamma)).astype(np.uint8)
         return np.repeat(grey[:, None], 3, axis=1)
 
-    def grey(self, intensity: ArrayLike) -> NDArray[np.uint8]:
-        """Return grey values; NaN is black.
-
-        Parameters
-        ----------
-        intensity : array_like of float, shape (H, W)
-            In the unit of ``white``.
-
-        Returns
-        -------
-        ndarray of uint8, shape (H, W)
-        """
-        return self.bgr(intensity, invalid=(0, 0, 0))[..., 0]
-
     def bgr(
         self, intensity: ArrayLike, valid: NDArray[np.bool_] | None = None, *,
         invalid: Mark = INVALID,
