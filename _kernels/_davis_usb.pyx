@@ -86,19 +86,15 @@ cdef inline void start_frame(int64_t* s, int64_t shutter) noexcept nogil:
     s[READ] = -1
 
 
-cdef inline void end_column(int64_t* s, uint16_t* reads, Py_ssize_t plane,
-                            Py_ssize_t rows, Py_ssize_t origin, Py_ssize_t right,
-                            Py_ssize_t down) noexcept nogil:
+cdef inline void end_column(int64_t* s, uint16_t* reads, Py_ssize_t columns,
+                            Py_ssize_t rows) noexcept nogil:
     """Count a column; one with too few or too many samples is shifted: discard it."""
-    cdef Py_ssize_t k, at, column
     if s[READ] < 0:
         return
-    column = s[RESETS] if s[READ] == 0 else s[SIGNALS]
     if s[PLACE] != rows:
         s[CUT_COLUMNS] += 1
-        at = s[READ] * plane + origin + column * right
-        for k in range(rows):
-            reads[at + k * down] = MISSING
+        memset(reads + (s[READ] * columns + s[RESETS + s[READ]]) * rows, 0xFF,
+               rows * sizeof(uint16_t))
     if s[READ] == 0:
         s[RESETS] += 1
         s[RESET_DONE] = s[TIME]
@@ -157,23 +153,19 @@ cdef inline int trigger_type(int special) noexcept nogil:
 
 
 def davis_words(const uint16_t[::1] words not None, Py_ssize_t begin, bint turned,
-                Py_ssize_t origin, Py_ssize_t right, Py_ssize_t down,
-                int64_t[::1] state not None, uint16_t[:, :, ::1] reads not None,
+                Py_ssize_t height, Py_ssize_t width, int64_t[::1] state not None, uint16_t[:, :, ::1] reads not None,
                 int64_t[:, ::1] times not None, event_t[::1] out not None,
                 int64_t[:, ::1] imu not None, int64_t[:, ::1] triggers not None):
     """Decode words from begin on while there is room; return (index, reason).
 
-    reads (2, H, W) receives resets and signals: the first sample of the first column at
-    the flat index `origin` of a plane; `right` is the stride from column to column,
-    `down` that from sample to sample.  times (2, columns) receives the times at which
-    columns began.  turned: addresses of rows are columns.  The reason is 1 after the
-    end of a complete frame, 2 after a reset of the clock, to which the caller adapts
-    BASE.  state is kept from call to call.
+    height and width are those of the sensor; turned: addresses of rows are columns.
+    reads (2, columns, rows) receives resets and signals as they are read out, column
+    after column, times (2, columns) the times at which columns began.  The reason is 1
+    after the end of a complete frame, 2 after a reset of the clock, to which the caller
+    adapts BASE.  state is kept from call to call.
     """
     cdef Py_ssize_t i = begin, n = words.shape[0], room = out.shape[0]
-    cdef Py_ssize_t height = reads.shape[1], width = reads.shape[2]
-    cdef Py_ssize_t plane = height * width, columns = times.shape[1], rows
-    cdef Py_ssize_t low, high, at, step, place, k
+    cdef Py_ssize_t columns = reads.shape[1], rows = reads.shape[2], at, place, k
     cdef Py_ssize_t imu_room = imu.shape[0], trigger_room = triggers.shape[0]
     cdef int64_t base, t, candidate, row, most_rows, most_columns
     cdef uint16_t word, data
@@ -184,16 +176,11 @@ def davis_words(const uint16_t[::1] words not None, Py_ssize_t begin, bint turne
     cdef int64_t* s
     cdef uint16_t* pixels
     if (state.shape[0] != STREAM or reads.shape[0] != 2 or times.shape[0] != 2
-            or imu.shape[1] != IMU_ROW or triggers.shape[1] != 2):
+            or times.shape[1] != columns or imu.shape[1] != IMU_ROW
+            or triggers.shape[1] != 2):
         raise ValueError("davis_words: an array has the wrong shape")
-    if plane == 0 or columns == 0 or plane % columns or room == 0 or (
-            imu_room == 0 or trigger_room == 0):
-        raise ValueError("davis_words: an array is empty or has the wrong size")
-    rows = plane // columns
-    low = origin + min(right * (columns - 1), 0) + min(down * (rows - 1), 0)
-    high = origin + max(right * (columns - 1), 0) + max(down * (rows - 1), 0)
-    if low < 0 or high >= plane:
-        raise ValueError("davis_words: samples lie outside reads")
+    if columns == 0 or rows == 0 or room == 0 or imu_room == 0 or trigger_room == 0:
+        raise ValueError("davis_words: an array is empty")
     if begin < 0 or begin > n:
         raise ValueError("davis_words: begin lies outside words")
     for k in range(3):
@@ -243,12 +230,12 @@ def davis_words(const uint16_t[::1] words not None, Py_ssize_t begin, bint turne
             if code == SAMPLE:
                 if s[READ] < 0:
                     continue
-                step, place = down, s[PLACE]
-                at = s[READ] * plane + origin + s[RESETS + s[READ]] * right
+                place = s[PLACE]
+                at = (s[READ] * columns + s[RESETS + s[READ]]) * rows
                 while True:
                     if place < rows:
                         # Ten bits; more are damage.
-                        pixels[at + place * step] = data if data < 1024 else MISSING
+                        pixels[at + place] = data if data < 1024 else MISSING
                     place += 1
                     if i == n or words[i] >> 12 != SAMPLE:
                         break
@@ -303,7 +290,7 @@ def davis_words(const uint16_t[::1] words not None, Py_ssize_t begin, bint turne
                     s[IMU_BYTES] = -1
                 elif data == GLOBAL_START or data == ROLLING_START:
                     start_frame(s, data - GLOBAL_START)
-                    memset(pixels, 0xFF, 2 * plane * sizeof(uint16_t))
+                    memset(pixels, 0xFF, 2 * columns * rows * sizeof(uint16_t))
                 elif data == FRAME_END:
                     if s[SHUTTER] >= 0:
                         if s[RESETS] == columns and s[SIGNALS] == columns:
@@ -316,7 +303,7 @@ def davis_words(const uint16_t[::1] words not None, Py_ssize_t begin, bint turne
                 elif data == RESET_COLUMN or data == SIGNAL_COLUMN:
                     begin_column(s, data - RESET_COLUMN, &times[0, 0], columns)
                 elif data == COLUMN_END:
-                    end_column(s, pixels, plane, rows, origin, right, down)
+                    end_column(s, pixels, columns, rows)
                 elif data == EXPOSURE_START:
                     s[EXPOSED_FROM] = t
                 elif data == EXPOSURE_END:

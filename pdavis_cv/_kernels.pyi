@@ -108,9 +108,9 @@ def aedat4_events(
     first: int, last: int, state: _I64, out: NDArray[Any],
 ) -> int: ...
 def davis_words(
-    words: NDArray[np.uint16], begin: int, turned: bool, origin: int, right: int,
-    down: int, state: _I64, reads: NDArray[np.uint16], times: _I64, out: NDArray[Any],
-    imu: _I64, triggers: _I64,
+    words: NDArray[np.uint16], begin: int, turned: bool, height: int, width: int,
+    state: _I64, reads: NDArray[np.uint16], times: _I64, out: NDArray[Any], imu: _I64,
+    triggers: _I64,
 ) -> tuple[int, int]: ...
 def event_columns(
     t: _I64, x: _I32, y: _I32, p: _I32, begin: int, height: int, width: int,

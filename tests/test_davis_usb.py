@@ -42,7 +42,8 @@ def decoded(words, cuts=(), *, turned=False, room=50):
     """Decode words with the kernel, in pieces; return what the twin holds."""
     state = np.zeros(29, np.int64)
     state[[5, 6, 12, 14]] = -1
-    reads, times = np.zeros((2, *SIZE), np.uint16), np.zeros((2, SIZE[1]), np.int64)
+    reads = np.zeros((2, *SIZE[::-1]), np.uint16)
+    times = np.zeros((2, SIZE[1]), np.int64)
     found = {"events": [], "imu": [], "triggers": [], "frames": [], "resets": 0}
     for part in np.split(words, cuts):
         begin = 0
@@ -51,15 +52,15 @@ def decoded(words, cuts=(), *, turned=False, room=50):
             imu, triggers = np.empty((2, 9), np.int64), np.empty((2, 2), np.int64)
             state[:3] = 0
             begin, why = _kernels.davis_words(
-                part, begin, turned, 0, 1, SIZE[1], state, reads, times, out, imu,
-                triggers)
+                part, begin, turned, *SIZE, state, reads, times, out, imu, triggers)
             for name, rows, n in zip(("events", "imu", "triggers"),
                                      (out, imu, triggers), state, strict=False):
                 found[name] += [tuple(row.tolist()) if name != "events" else row.item()
                                 for row in rows[:n]]
             if why == 1:
-                found["frames"].append((int(state[6]), reads.tolist(), times.tolist(),
-                                        int(state[4])))
+                found["frames"].append((
+                    int(state[6]), reads.swapaxes(1, 2).tolist(), times.tolist(),
+                    int(state[4])))
                 state[6] = -1
             found["resets"] += why == 2
     found["counts"] = dict(zip(
@@ -85,15 +86,15 @@ def test_words_of_all_kinds_are_decoded_as_by_the_twin_whatever_the_cut(seed):
 
 
 @pytest.mark.parametrize("change", [
-    {"state": np.zeros(28, np.int64)}, {"reads": np.zeros((1, *SIZE), np.uint16)},
-    {"times": np.zeros((2, 5), np.int64)}, {"origin": 1}, {"begin": 3}, {"begin": -1},
+    {"state": np.zeros(28, np.int64)}, {"reads": np.zeros((1, 6, 4), np.uint16)},
+    {"times": np.zeros((2, 5), np.int64)}, {"begin": 3}, {"begin": -1},
     {"out": np.zeros(0, davis.EVENT_DTYPE)}, {"imu": np.zeros((2, 8), np.int64)},
     {"triggers": np.zeros((0, 2), np.int64)}, {"state": np.full(29, 99)}], ids=str)
 def test_arrays_of_the_wrong_shape_are_refused(change):
     arguments = {
-        "words": np.zeros(2, np.uint16), "begin": 0, "turned": False, "origin": 0,
-        "right": 1, "down": SIZE[1], "state": np.zeros(29, np.int64),
-        "reads": np.zeros((2, *SIZE), np.uint16), "times": np.zeros((2, 6), np.int64),
+        "words": np.zeros(2, np.uint16), "begin": 0, "turned": False,
+        "height": SIZE[0], "width": SIZE[1], "state": np.zeros(29, np.int64),
+        "reads": np.zeros((2, 6, 4), np.uint16), "times": np.zeros((2, 6), np.int64),
         "out": np.empty(4, davis.EVENT_DTYPE), "imu": np.empty((2, 9), np.int64),
         "triggers": np.empty((2, 2), np.int64)} | change
     with pytest.raises(ValueError, match="davis_words: "):

@@ -78,29 +78,16 @@ class Orientation:
     imu_flipped: tuple[bool, bool, bool] = (False, False, False)
     imu_type: str | None = "InvenSense6050Or6150"
 
-    def places(self, size: tuple[int, int]) -> tuple[int, int, int, int]:
-        """Return the positions of frame samples in the image, in readout order.
+    def upright(self, reads: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        """Return images (K, H, W) of what was read out, column after column.
 
         Parameters
         ----------
-        size : (int, int)
-            Sensor (height, width).
-
-        Returns
-        -------
-        columns : int
-            Number of columns that are read, one after the other.
-        origin, right, down : int
-            Index of the first sample in the image, steps to the next column and to the
-            next sample of a column.
+        reads : ndarray of uint16, shape (K, columns, rows)
         """
-        height, width = size
-        x = (width - 1, -1) if self.frames_flipped_x else (0, 1)
-        y = ((height - 1) * width, -width) if self.frames_flipped_y else (0, width)
-        origin = x[0] + y[0]
-        if self.frames_turned:
-            return height, origin, y[1], x[1]
-        return width, origin, x[1], y[1]
+        images = reads if self.frames_turned else reads.swapaxes(1, 2)
+        return images[:, ::-1 if self.frames_flipped_y else 1,
+                      ::-1 if self.frames_flipped_x else 1].copy()
 
 
 class DavisDecoder:
@@ -119,9 +106,9 @@ class DavisDecoder:
         self, size: tuple[int, int], orientation: Orientation, log: ProblemLog
     ) -> None:
         self._orientation, self._log = orientation, log
-        columns, *places = orientation.places(size)
-        self._origin, self._right, self._down = places
-        self._reads = np.full((2, *size), _MISSING, np.uint16)
+        self._size = size
+        columns, rows = size if orientation.frames_turned else size[::-1]
+        self._reads = np.full((2, columns, rows), _MISSING, np.uint16)
         self._times = np.zeros((2, columns), np.int64)
         self._state = np.zeros(_STREAM, np.int64)
         self._state[[_ROW, _SHUTTER, _READ, _IMU_BYTES]] = -1
@@ -176,9 +163,8 @@ class DavisDecoder:
             events = np.empty(min(len(words) - begin, MAX_PACKET_EVENTS), EVENT_DTYPE)
             state[:_BASE] = 0
             begin, why = _kernels.davis_words(
-                words, begin, self._orientation.events_turned, self._origin,
-                self._right, self._down, state, self._reads, self._times, events,
-                self._imu_rows, self._trigger_rows)
+                words, begin, self._orientation.events_turned, *self._size, state,
+                self._reads, self._times, events, self._imu_rows, self._trigger_rows)
             frames = (self._frame(),) if why == _FRAME else ()
             filled, imu, triggers = state[:_BASE].tolist()
             if filled or frames or imu or triggers:
@@ -237,7 +223,7 @@ class DavisDecoder:
 
     def _frame(self) -> ApsFrame:
         state = self._state
-        reads = self._reads.copy()
+        reads = self._orientation.upright(self._reads)
         reset, signal = reads
         if reads.max() == _MISSING:
             reads[:, (reads == _MISSING).any(axis=0)] = 0
