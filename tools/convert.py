@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pdavis_cv.recording.facts import assumptions
-from pdavis_cv.recording.passing import passing
 from pdavis_cv.recording.registry import FORMATS, writer_for
+from pdavis_cv.recording.stream import source_from_packets
 
 from ._common import (
     Parser,
@@ -35,8 +35,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     checked_out(out, args.input, recording=True, force=args.force)
     with opened(args, args.input) as recording:
         ends = recording.info.start_us, recording.info.stop_us
-        lost = write(out, passing(
-            recording, lambda packets: progress_in_time(packets, *ends)), **options)
+        lost = write(out, source_from_packets(
+            recording.info, progress_in_time(recording.packets(), *ends)), **options)
         problems = recording.problems
         assumed = assumptions(recording.info.facts)
     tell(args, [

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv._beside import clear
 from pdavis_cv.recording.aedat2.header import CHIP_SIZES, SOURCE
-from pdavis_cv.recording.base import ApsFrame, Packet, Recording, RecordingInfo
+from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo, Source
 from pdavis_cv.recording.writer import RecordingWriter, source_text
 
 __all__ = ["Aedat2Writer", "write_aedat2"]
@@ -239,7 +239,7 @@ class Aedat2Writer(RecordingWriter):
 
 
 def write_aedat2(
-    path: str | os.PathLike[str], recording: Recording
+    path: str | os.PathLike[str], recording: Source
 ) -> Mapping[str, int]:
     """Write a recording as AEDAT-2.0.
 
@@ -247,7 +247,7 @@ def write_aedat2(
     ----------
     path : path
         The file appears under this name when it is complete.
-    recording : Recording
+    recording : Source
         Its sensor must have the size of a DAVIS.
 
     Returns
@@ -262,7 +262,7 @@ def write_aedat2(
     return writer.losses
 
 
-def aedat2_writer(path: str | os.PathLike[str], recording: Recording) -> Aedat2Writer:
+def aedat2_writer(path: str | os.PathLike[str], recording: Source) -> Aedat2Writer:
     """Return a writer with the header for a recording."""
     info = recording.info
     start = info.start_us or 0

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pdavis_cv._beside import clear
 from pdavis_cv.recording.aedat4.container import COMPRESSIONS, MAGIC
 from pdavis_cv.recording.aedat4.samples import EIGHT_BIT_DN, TEN_BIT_DN
-from pdavis_cv.recording.base import ApsFrame, Packet, Recording, RecordingInfo
+from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo, Source
 from pdavis_cv.recording.writer import RecordingWriter, source_text
 from pdavis_cv.sensor import Layout
 
@@ -205,7 +205,7 @@ def _unnoted(what: str, count: int) -> None:
 
 
 def write_aedat4(
-    path: str | os.PathLike[str], recording: Recording, *, compression: str = "lz4",
+    path: str | os.PathLike[str], recording: Source, *, compression: str = "lz4",
     frame_bits: int | None = None,
 ) -> Mapping[str, int]:
     """Write a recording as AEDAT-4.
@@ -214,7 +214,7 @@ def write_aedat4(
     ----------
     path : path
         The file appears under this name when it is complete.
-    recording : Recording
+    recording : Source
     compression : {"lz4", "none", "zstd"}
     frame_bits : {16, 8}, optional
         See `Aedat4Writer`.
