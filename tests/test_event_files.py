@@ -484,3 +484,13 @@ def test_an_array_with_a_pixel_on_no_sensor_is_read(tmp_path):
     with open_recording(tmp_path / "x.npy") as recording:
         assert recording.info.sensor_size == (260, 346)
         assert len(recording.events()) == 199
+
+
+def test_times_in_nanoseconds_may_be_numbers_with_a_point(tmp_path):
+    us = 1_700_000_000_000_000 + 1000 * np.arange(50)
+    rows = np.zeros((50, 4))
+    rows[:, 0] = 1000.0 * us
+    np.save(tmp_path / "x.npy", rows)
+    with open_recording(tmp_path / "x.npy", sensor_size=(4, 4)) as recording:
+        assert recording.info.header["time_unit"] == "ns"
+        assert np.abs(recording.events()["t"] - us).max() <= 1

@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -49,7 +48,6 @@ class Inbox:
         self._ended = False
         self._error: Exception | None = None
         self.newest_us: int | None = None
-        self.arrived_s = 0.0
         self.dropped_events = 0
         self.jumps = 0
 
@@ -64,7 +62,6 @@ class Inbox:
             self._packets.append(packet)
             self._bytes += size_of(packet)
             self.newest_us = max(ends)
-            self.arrived_s = time.monotonic()
             if self._full(self.newest_us):
                 self._jump(self.newest_us)
             self._change.notify_all()

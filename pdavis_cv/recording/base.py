@@ -440,8 +440,6 @@ class Report:
     start_us, stop_us : int or None
         Half-open interval that holds every sample; None for an empty recording.
     event_count, on_count, frame_count, imu_count, trigger_count : int
-    first_frame_mid_us : int or None
-    first_event_us : int or None
     problems : tuple of Problem
     """
 
@@ -452,8 +450,6 @@ class Report:
     frame_count: int
     imu_count: int
     trigger_count: int
-    first_frame_mid_us: int | None
-    first_event_us: int | None
     problems: tuple[Problem, ...]
 
 
@@ -578,16 +574,10 @@ class Recording(Source):
         start: int | None = None
         stop: int | None = None
         events = on = frames = imu = triggers = 0
-        first_mid: int | None = None
-        first_event: int | None = None
         for packet in self.packets():
             if packet.start_us is not None and packet.stop_us is not None:
                 start = packet.start_us if start is None else start
                 stop = max(packet.stop_us, stop or packet.stop_us)
-            if first_event is None and len(packet.events):
-                first_event = int(packet.events["t"][0])
-            if first_mid is None and packet.frames:
-                first_mid = packet.frames[0].mid_us
             events += len(packet.events)
             on += int(np.count_nonzero(packet.events["p"]))
             frames += len(packet.frames)
@@ -596,5 +586,4 @@ class Recording(Source):
         return Report(
             start_us=start, stop_us=stop, event_count=events, on_count=on,
             frame_count=frames, imu_count=imu, trigger_count=triggers,
-            first_frame_mid_us=first_mid, first_event_us=first_event,
             problems=tuple(self.problems))

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
-from pdavis_cv.events import EVENT_DTYPE, FAR
+from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.file_reader import FileReader
+from pdavis_cv.recording.files import microseconds
 from pdavis_cv.recording.numpy_files import (
     MOST_RATIO,
     StoredArray,
@@ -41,6 +42,8 @@ CHUNK = 1 << 18
 """Bytes of text that are read at a time."""
 ROWS = 1 << 16
 """Rows of arrays that are read at a time."""
+_US = {"s": 1e6, "us": 1.0, "ns": 1e-3}
+"""Units of times in arrays, us."""
 LOOKED_AT = 1 << 16
 """Bytes of text at its beginning, middle and end, from which its form is found."""
 
@@ -248,14 +251,7 @@ class NumpyRecording(_EventList):
             self._log.damage(at, f"row {at + whole}: the file ends before its last row",
                              offset=self._path.stat().st_size)
         t, x, y, p = (column[:whole] for column in columns)
-        if t.dtype.kind == "f":
-            with np.errstate(over="ignore"):
-                t = np.rint(t.astype(np.float64) * (
-                    1e6 if self._scale == "s" else 1.0))
-            t = np.where(np.abs(t) < FAR, t, -2 * FAR)  # dropped later, as is NaN
-        elif self._scale == "ns":
-            t = t // 1000
-        return t.astype(np.int64), _whole(x), _whole(y), _whole(p)
+        return microseconds(t, _US[self._scale]), x, y, p
 
 
 def _events_of(found: Mapping[str, Any], path: str) -> tuple[Any, ...]:
@@ -294,12 +290,3 @@ def _events_of(found: Mapping[str, Any], path: str) -> tuple[Any, ...]:
             f"{path}: no events: arrays t, x, y, p are needed, one with such fields, "
             f"or one of shape (N, 4); it holds {what or 'nothing'}")
     return events
-
-
-def _whole(column: NDArray[Any]) -> NDArray[Any]:
-    """Return coordinates or polarities as integers; NaN lies outside any sensor."""
-    if column.dtype.kind == "f":
-        # fmin ignores NaN
-        near: NDArray[Any] = np.fmax(np.fmin(column, MAX_SIDE), -1)
-        return near.astype(np.int32)
-    return column.view(np.uint8) if column.dtype.kind == "b" else column

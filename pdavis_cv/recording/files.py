@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._remote import RemotePath, as_path
 from pdavis_cv.errors import DamagedFileWarning, PdavisWarning, RecordingError
+from pdavis_cv.events import FAR
 from pdavis_cv.recording.base import Problem, Recording, RecordingInfo
 from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, Fact
 from pdavis_cv.recording.file_reader import FileReader, RemoteReader
@@ -24,7 +25,7 @@ from pdavis_cv.recording.options import MAX_SIDE, SourceOptions
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.timeline import BACKWARD, FILLED, OFFSET, OUTSIDE, Clock
 
-__all__ = ["FileRecording", "ProblemLog", "clock_text"]
+__all__ = ["FileRecording", "ProblemLog", "clock_text", "microseconds"]
 
 _NOTHING_STATED = SourceOptions()
 _SIZES = ((260, 346), (480, 640), (720, 1280))
@@ -318,6 +319,22 @@ def _narrow(column: NDArray[Any]) -> NDArray[np.int32]:
     elif column.dtype.itemsize > 4:
         column = np.clip(column, -1, 1 << 30)
     return np.ascontiguousarray(column, np.int32)
+
+
+def microseconds(t: NDArray[Any], unit: float) -> NDArray[np.int64]:
+    """Return times in us; those that no clock has are dropped when they are checked.
+
+    Parameters
+    ----------
+    t : ndarray
+    unit : float
+        Their unit, us.
+    """
+    if t.dtype.kind != "f":
+        return (t if unit >= 1 else t // round(1 / unit)).astype(np.int64)
+    with np.errstate(over="ignore"):
+        t = np.rint(t.astype(np.float64) * unit)
+    return np.where(np.abs(t) < FAR, t, -2 * FAR).astype(np.int64)
 
 
 def clock_text(start_us: int | None, stop_us: int | None) -> str:

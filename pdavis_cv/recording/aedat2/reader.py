@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import re
-import threading
 from collections.abc import Iterator
 
 import numpy as np
@@ -28,7 +27,7 @@ from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import Batch, cell_start
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import PiecewiseRecording
-from pdavis_cv.recording.timeline import NEVER
+from pdavis_cv.recording.timeline import NEVER, Marks
 from pdavis_cv.sensor import Sensor
 
 __all__ = ["Aedat2Recording"]
@@ -58,10 +57,8 @@ class Aedat2Recording(PiecewiseRecording):
 
     def _open(self, options: SourceOptions) -> RecordingInfo:
         self._reader = self._bytes()
-        self._lock = threading.Lock()
-        self._complete = False
         self._header = read_header(self._reader)
-        self._marks = [Mark(0, self._header.origin_us, NEVER)]
+        self._marks = Marks(1)
         self._size_fact, self._dvs128 = self._sensor(options)
         self._size: tuple[int, int] = self._size_fact.value
         return self._make_info(options)
@@ -156,41 +153,15 @@ class Aedat2Recording(PiecewiseRecording):
     def _pieces(self, start_us: int | None, memory: Scratch, *, frames: bool = True
                 ) -> Iterator[tuple[Batch, float]]:
         """Yield the samples of each chunk, and the share of the file read by then."""
-        if start_us is None:
-            mark, quiet = self._marks[0], NEVER
-        else:
-            mark = self._find(cell_start(start_us) - WARM_UP_US)
-            quiet = NEVER if mark.chunk == 0 else cell_start(start_us)
+        mark, quiet = Mark(0, self._header.origin_us, NEVER), NEVER
+        if start_us is not None and (found := self._marks.before(
+                cell_start(start_us) - WARM_UP_US)) is not None:
+            mark, quiet = found, cell_start(start_us)
         decoder = self._decoder(mark, quiet)
         for batch in decoder.batches(memory, frames=frames):
-            self._remember(decoder.mark)
+            self._marks.note(decoder.chunk, decoder.mark.last, decoder.mark)
             yield batch, min(decoder.chunk * CHUNK_WORDS / self.word_count, 1.0)
-        self._complete = True
         decoder.check_end()
-
-    def _remember(self, mark: Mark) -> None:
-        with self._lock:
-            if mark.chunk == len(self._marks):
-                self._marks.append(mark)
-
-    def _find(self, t_us: int) -> Mark:
-        """Return the last mark before a time, reading further if needed."""
-        if self._marks[-1].last < t_us and not self._complete:
-            decoder = self._decoder(self._marks[-1], quiet_us=1 << 61)
-            for _ in decoder.batches(Scratch()):
-                self._remember(decoder.mark)
-                if decoder.mark.last >= t_us:
-                    break
-            else:
-                self._complete = True
-        lo, hi = 0, len(self._marks)
-        while hi - lo > 1:
-            middle = (lo + hi) // 2
-            if self._marks[middle].last < t_us:
-                lo = middle
-            else:
-                hi = middle
-        return self._marks[lo]
 
     @property
     def word_count(self) -> int:

@@ -28,6 +28,7 @@ from pdavis_cv.recording.base import (
     joined,
 )
 from pdavis_cv.recording.facts import ASSUMED, FILE, Fact, stated
+from pdavis_cv.recording.files import microseconds
 from pdavis_cv.recording.hdf5.separate import SeparateImages
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import Batch, cell_start
@@ -233,7 +234,7 @@ class Hdf5Recording(PiecewiseRecording):
 
         def columns(rows: slice) -> Columns:
             t, x, y, p = read(rows)
-            return _microseconds(t, unit) + offset, x, y, p
+            return microseconds(t, unit) + offset, x, y, p
 
         return columns
 
@@ -435,7 +436,7 @@ class Hdf5Recording(PiecewiseRecording):
                     if stamps is None:
                         return []
                     raw = stamps[()]
-                mids = _microseconds(raw, _unit(raw))
+                mids = microseconds(raw, _unit(raw))
                 rows = np.stack([self._extra(name, mids) for name in (
                     "exposure_start_us", "exposure_end_us", "available_us")], 1)
         except _LostError as error:
@@ -462,7 +463,7 @@ class Hdf5Recording(PiecewiseRecording):
         column = None if group is None else self._dataset(group, name, 1)
         if column is None or len(column) != len(default):
             return default
-        return _microseconds(column[()], 1.0)
+        return microseconds(column[()], 1.0)
 
     def _frame(self, place: _Place) -> list[ApsFrame]:
         """Return a list of the frame, empty if it cannot be read."""
@@ -510,12 +511,3 @@ def _unit(t: NDArray[Any]) -> float:
     """Return microseconds per unit of times; times with fractions are seconds."""
     whole = t.dtype.kind != "f" or np.all(t[np.isfinite(t)] % 1 == 0)
     return 1.0 if whole else 1e6
-
-
-def _microseconds(t: NDArray[Any], unit: float) -> NDArray[np.int64]:
-    if t.dtype.kind != "f":
-        return t.astype(np.int64)
-    with np.errstate(over="ignore"):
-        t = np.rint(t.astype(np.float64) * unit)
-    # NaN and times beyond any range are dropped later.
-    return np.where(np.abs(t) < FAR, t, -2 * FAR).astype(np.int64)
