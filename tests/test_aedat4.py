@@ -18,6 +18,7 @@ from pdavis_cv import (
     recording_from_arrays,
     write_aedat4,
 )
+from pdavis_cv.recording.file_reader import FileReader
 
 FULL = "davis346.aedat4"
 
@@ -397,3 +398,30 @@ def test_times_that_no_clock_has_end_in_a_dropped_event(tmp_path, index):
     (found, *_), problems = read(tmp_path / "x")
     assert found["t"].tolist() == times[:2]
     assert ("backward time", 1) in {(p.kind, p.count) for p in problems}
+
+
+@pytest.mark.filterwarnings("ignore::pdavis_cv.DamagedFileWarning")
+def test_packets_that_claim_the_rest_of_a_file_are_looked_at_once(
+        tmp_path, monkeypatch):
+    """Each holds a broken frame of LZ4; bytes that are read grow with the file."""
+    write_aedat4(tmp_path / "x", recording_from_arrays(
+        np.zeros(3, pdavis_cv.EVENT_DTYPE), sensor_size=(12, 16)))
+    whole = without_index((tmp_path / "x").read_bytes())
+    head = whole[:whole.index(b"\x04\x22\x4d\x18") - 8]
+    read_once = FileReader.read
+    looked = []
+
+    def counted(reader, at, size):
+        data = read_once(reader, at, size)
+        looked[-1] += len(data)
+        return data
+
+    monkeypatch.setattr(FileReader, "read", counted)
+    for count in (300, 1200):
+        (tmp_path / "x").write_bytes(head + b"".join(
+            struct.pack("<ii", 0, 24 * (count - k) - 8 - k % 2)
+            + b"\x04\x22\x4d\x18" + bytes(12) for k in range(count)))
+        looked.append(0)
+        (found, *_), _ = read(tmp_path / "x")
+        assert not len(found)
+    assert looked[1] < 6 * looked[0]

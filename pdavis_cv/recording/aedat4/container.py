@@ -5,6 +5,7 @@ FlatBuffer IOHE, packets of (int32 stream, int32 size, payload), a table FTAB.
 """
 from __future__ import annotations
 
+import contextlib
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -39,6 +40,8 @@ _PACKET = struct.Struct("<ii")
 _NEAR, _TRIES = 1 << 16, 8
 """A packet that is not at its position in the index is searched within this number of
 bytes, among this number of candidates with its stream and size."""
+_BLOCK = 1 << 20
+"""Bytes of an index that are unpacked to know it: a block of LZ4 is seldom larger."""
 _HEAD = 24
 """Bytes that identify a packet: its header, and the beginning of its payload."""
 
@@ -205,15 +208,16 @@ class Aedat4File:
                 at, entry = found, self._plausible(found, limit)
                 continue
             after = entry.offset + entry.size
-            # Data resemble the beginning of a packet by chance once in 10**19 bytes, so
-            # if one begins inside another, the other lost bytes or its size is wrong.
-            inside = self._resync(at + 1, after, limit)
-            if inside is not None:
+            following = self._plausible(after, limit)
+            # If it ends at no packet, it lost bytes or its size is wrong: the next may
+            # begin inside it.
+            if following is None and after < limit and not self._is_index(after) and (
+                    inside := self._resync(at + 1, after, limit)) is not None:
                 self.log.damage(
                     at, f"byte {at}: a packet that should end at byte {after} "
                     f"ends at {inside}", offset=at)
-                entry.size, after = max(inside - entry.offset, 0), inside
-            following = self._plausible(after, limit)
+                entry.size = max(inside - entry.offset, 0)
+                after, following = inside, self._plausible(inside, limit)
             yield entry
             at, entry = after, following
 
@@ -240,11 +244,9 @@ class Aedat4File:
             return True
         if head[:4] not in (_LZ4_MAGIC, _ZSTD_MAGIC):
             return False
-        try:
-            return decompressed(self.reader.read(at, MAX_PAYLOAD),
-                                self.compression)[8:12] == b"FTAB"
-        except PayloadError:
-            return False
+        with contextlib.suppress(PayloadError):
+            return _begin(self.reader.read(at, _BLOCK), self.compression)[8:] == b"FTAB"
+        return False
 
     def _resync(self, at: int, until: int, limit: int) -> int | None:
         """Return where the next plausible packet begins, before the byte `until`."""
@@ -366,6 +368,17 @@ def decompressed(payload: bytes | memoryview, compression: str) -> bytes:
     return _unpack_lz4(payload)
 
 
+def _begin(payload: bytes, compression: str) -> bytes:
+    """Return the first 12 bytes of a FlatBuffer, from the beginning of its payload."""
+    if compression.startswith("ZSTD"):
+        return _unpack_zstd(payload, 12)
+    try:
+        begin: bytes = lz4.frame.LZ4FrameDecompressor().decompress(payload, 12)
+    except (RuntimeError, EOFError, MemoryError) as error:
+        raise PayloadError(f"LZ4: {error}") from error
+    return begin
+
+
 def _unpack_lz4(payload: bytes | memoryview) -> bytes:
     unpacker = lz4.frame.LZ4FrameDecompressor()
     try:
@@ -381,7 +394,7 @@ def _unpack_lz4(payload: bytes | memoryview) -> bytes:
     return data
 
 
-def _unpack_zstd(payload: bytes) -> bytes:
+def _unpack_zstd(payload: bytes, most: int = MAX_PAYLOAD) -> bytes:
     try:
         import zstandard
     except ImportError:
@@ -392,7 +405,7 @@ def _unpack_zstd(payload: bytes) -> bytes:
         with zstandard.ZstdDecompressor(max_window_size=MAX_PAYLOAD).stream_reader(
                 payload) as stream:
             data: bytes = stream.read(4)
-            size = _declared(data)
+            size = min(_declared(data), most)
             data += stream.read(size - 4)
     except zstandard.ZstdError as error:
         raise PayloadError(f"zstd: {error}") from error
