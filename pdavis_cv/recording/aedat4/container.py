@@ -6,6 +6,7 @@ FlatBuffer IOHE, packets of (int32 stream, int32 size, payload), a table FTAB.
 from __future__ import annotations
 
 import contextlib
+import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -208,16 +209,15 @@ class Aedat4File:
                 at, entry = found, self._plausible(found, limit)
                 continue
             after = entry.offset + entry.size
-            following = self._plausible(after, limit)
-            # If it ends at no packet, it lost bytes or its size is wrong: the next may
-            # begin inside it.
-            if following is None and after < limit and not self._is_index(after) and (
-                    inside := self._resync(at + 1, after, limit)) is not None:
+            # Data resemble the beginning of a packet by chance once in 10**19 bytes, so
+            # if one begins inside another, the other lost bytes or its size is wrong.
+            inside = self._resync(at + 1, after, limit)
+            if inside is not None:
                 self.log.damage(
                     at, f"byte {at}: a packet that should end at byte {after} "
                     f"ends at {inside}", offset=at)
-                entry.size = max(inside - entry.offset, 0)
-                after, following = inside, self._plausible(inside, limit)
+                entry.size, after = max(inside - entry.offset, 0), inside
+            following = self._plausible(after, limit)
             yield entry
             at, entry = after, following
 
@@ -256,14 +256,16 @@ class Aedat4File:
         else:
             lz4_used = self.compression.startswith("LZ4")
             marks, before = [_LZ4_MAGIC if lz4_used else _ZSTD_MAGIC], 8
-        step, overlap = 1 << 20, 32
-        for base in range(at, until, step):
+        found = re.compile(b"(?=" + b"|".join(map(re.escape, marks)) + b")")
+        # From small blocks to large ones, so that what is read is as far as it is.
+        base, step, overlap = at, 64, 32
+        while base < until:
             block = self.reader.read(base, min(step, until - base) + overlap)
-            places = sorted({i for mark in set(marks) for i in _find_all(block, mark)})
-            for i in places:
-                start = base + i - before
+            for one in found.finditer(block):
+                start = base + one.start() - before
                 if at <= start < until and self._plausible(start, limit) is not None:
                     return start
+            base, step = base + step, min(2 * step, 1 << 20)
         return None
 
     def table(self, entry: Entry) -> tuple[bytes, Table]:
