@@ -18,7 +18,8 @@ PACKAGES = {
     "imageio": "imageio", "matplotlib": "matplotlib", "onnxruntime": "onnxruntime",
     "pims": "pims", "pyarrow": "pyarrow", "roifile": "roifile",
     "rosbags": "rosbags", "tifffile": "tifffile",
-    "torch": "torch", "xarray": "xarray", "zstandard": "zstandard"}
+    "torch": "torch", "xarray": "xarray", "zarr": "zarr",
+    "zstandard": "zstandard"}
 """Name in an import -> name for pip."""
 
 LAYOUT = ("--layout", "pdavis", "--fps", "10")
@@ -44,6 +45,8 @@ COMMANDS = {
     "convert": (("convert", "{in}", "{out}.aedat4"), ()),
     "convert to HDF5": (("convert", "{in}", "{out}.h5"), ("h5py",)),
     "convert to a bag": (("convert", "{in}", "{out}.mcap"), ("rosbags",)),
+    "export ome.zarr": (
+        ("export", "{in}", "-o", "{out}.ome.zarr", *LAYOUT), ("zarr",)),
     "export to a bag": (
         ("export", "{in}", "-o", "{out}.mcap", *LAYOUT), ("cv2", "rosbags")),
     "convert to Parquet": (("convert", "{in}", "{out}.parquet"), ("pyarrow",)),

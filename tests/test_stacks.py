@@ -15,6 +15,7 @@ from pdavis_cv.export import (
     Hdf5File,
     NpzFile,
     OmeTiffFile,
+    OmeZarrFile,
     provenance,
     to_xarray,
 )
@@ -172,7 +173,8 @@ def test_npz_returns_numbers_times_and_provenance(tmp_path):
         assert json.loads(str(file["provenance"]))["label"] == FACTS["label"]
 
 
-KINDS = [(OmeTiffFile, "a.ome.tif"), (Hdf5File, "a.h5"), (NpzFile, "a.npz")]
+KINDS = [(OmeTiffFile, "a.ome.tif"), (Hdf5File, "a.h5"), (NpzFile, "a.npz"),
+         (OmeZarrFile, "a.ome.zarr")]
 
 
 @pytest.mark.parametrize(("kind", "name"), KINDS)
@@ -223,6 +225,9 @@ def _numbers(path):
         h5py = pytest.importorskip("h5py")
         with h5py.File(path) as file:
             return {key: file[key][:] for key in file}
+    if path.suffix == ".zarr":
+        group = pytest.importorskip("zarr").open_group(path, mode="r")
+        return {key: array[:] for key, array in group.arrays()}
     return {"all": pytest.importorskip("tifffile").imread(path)}
 
 
@@ -258,7 +263,8 @@ except OSError as error:
 @pytest.mark.parametrize(("kind", "name", "count"), [
     (*one, count) for one in KINDS
     for count in (5, 6, 40)     # full while it is completed, before that, on the way
-    if (one[0], count) != (OmeTiffFile, 5)])    # compressed, it fits
+    # Compressed, or in files of a plane each, it fits.
+    if (one[0], count) not in ((OmeTiffFile, 5), (OmeZarrFile, 5))])
 def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path, kind, name, count):
     done = subprocess.run(
         [sys.executable, "-P", "-c", FULL, kind.__name__, str(tmp_path / name),

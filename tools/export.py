@@ -3,11 +3,11 @@
 The suffix of OUT determines the output: .webm (browsers play it), .mp4 (H.264, which
 slide programs play, where PyAV has an encoder, else VP9), .mkv and .avi a colour video;
 .webp and .gif the same for slides; .png pictures and .pdf or .svg figures for print,
-numbered if there are several; .npy float arrays (AoP in radians); .ome.tif, .h5 and
-.npz stacks with names, units, times and provenance, which --resume can continue; .mcap
-and .db3 ROS 2 bags with the quantities as 32FC1 images and a colour picture.  With
---lossless, .mkv or .avi hold one quantity in 16 bits (FFV1).  Times, units and scales
-of these and of .npy are written to a .json file next to it.
+numbered if there are several; .npy float arrays (AoP in radians); .ome.tif, .ome.zarr,
+.h5 and .npz stacks with names, units, times and provenance, which --resume can
+continue; .mcap and .db3 ROS 2 bags with the quantities as 32FC1 images and a colour
+picture.  With --lossless, .mkv or .avi hold one quantity in 16 bits (FFV1).  Times,
+units and scales of these and of .npy are written to a .json file next to it.
 """
 from __future__ import annotations
 
@@ -48,7 +48,8 @@ from ._values import numbers, positive, since_start, within
 __all__ = ["Sheet", "main"]
 
 _STACKS: dict[str, type[export.StackFile]] = {
-    ".tif": export.OmeTiffFile, ".h5": export.Hdf5File, ".npz": export.NpzFile}
+    ".tif": export.OmeTiffFile, ".h5": export.Hdf5File, ".npz": export.NpzFile,
+    ".zarr": export.OmeZarrFile}
 _BAGS = (".mcap", ".db3")
 _COLOUR = (".webm", ".mp4", ".m4v", ".mkv", ".avi", *export.ANIMATIONS)
 _PLANE = (".mkv", ".avi")

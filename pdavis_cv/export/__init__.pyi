@@ -28,6 +28,7 @@ from .ometiff import (
     OmeTiffFile as OmeTiffFile,
     write_maps as write_maps,
 )
+from .omezarr import OmeZarrFile as OmeZarrFile
 from .stacks import StackFile as StackFile
 from .tables import (
     write_csv as write_csv,
