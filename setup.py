@@ -50,6 +50,7 @@ KERNELS = (
     "_scenes",
     "_simulate",
     "_store",
+    "_turning",
 )
 SOURCE_TREE_ONLY = ("_floor",)  # what lab/bench compares with: no user needs it
 SHARED = (

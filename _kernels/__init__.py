@@ -87,5 +87,6 @@ from ._scenes import (
 )
 from ._simulate import pixel_events
 from ._store import store_commit, store_link, store_push, store_unlink
+from ._turning import turning_events, turning_learn, turning_read
 
 __all__ = [name for name in dir() if name[0] != "_"]

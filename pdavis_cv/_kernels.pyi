@@ -93,6 +93,9 @@ __all__ = [
     "stream_events",
     "texture_stokes",
     "tone_bgr",
+    "turning_events",
+    "turning_learn",
+    "turning_read",
     "voxel_planes",
 ]
 
@@ -383,4 +386,15 @@ def plane_waves(
 def texture_stokes(
     first: _F64, second: _F64, third: _F64, s0: float, contrast: float, dolp: float,
     dolp_spread: float, aop: float, aop_spread: float,
+) -> None: ...
+def turning_events(
+    events: NDArray[Any], last: int, cells: NDArray[Any], segments: _F64, tau: float,
+    share: float,
+) -> int: ...
+def turning_learn(
+    cells: NDArray[Any], on: float, off: float, spread: float, told: _U8
+) -> None: ...
+def turning_read(
+    cells: NDArray[Any], t: float, tau: float, span: float, common: float, lag: float,
+    dc: _F32, quad: _F32, sigma: _F32, valid: _U8,
 ) -> None: ...

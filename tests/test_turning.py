@@ -1,0 +1,338 @@
+"""A turning analyser: its angle from pulses, and the regression of events on it."""
+import math
+import pickle
+
+import numpy as np
+import pytest
+import reference_turning as reference
+from turning_pixels import Still, errors, events_of, rms
+
+from pdavis_cv import _kernels
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.reconstruct.turning import TurningRegression
+from pdavis_cv.recording.base import ApsFrame
+from pdavis_cv.turning import PulseClock, TurningAnalyser
+
+
+def regression(scene, **parameters):
+    """Return a method that has seen a scene, with the thresholds of a data sheet."""
+    known = {"theta_on": 0.23, "theta_off": 0.27, "segments": TurningAnalyser(
+        rpm=60 * scene.hz, phase=scene.phase).segments()} | parameters
+    method = TurningRegression((1, len(scene.on)), **known)
+    method.add_events(scene.events)
+    return method
+
+
+def at_end(method, scene):
+    return method.polarization(scene.stop_us - method.lookahead_us)
+
+
+@pytest.fixture(scope="module")
+def still():
+    return Still()
+
+
+# ---- the regression ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("scene", "aop_deg", "dolp"), [
+    ({"spread": 0.035, "logarithmic": False}, 0.8, 0.03),
+    ({"spread": 0.045}, 1.0, 0.04),
+    ({"spread": 0.045, "jitter": 0.03}, 1.0, 0.04),
+])
+def test_half_a_turn_gives_angle_and_degree(scene, aop_deg, dolp):
+    scene = Still(**scene)
+    found = at_end(regression(scene), scene)
+    angle, degree = errors(found, scene.dolp, scene.aop)
+    assert found.valid.all()
+    assert rms(np.rad2deg(angle)) < aop_deg
+    assert rms(degree) < dolp
+
+
+def test_a_second_of_turns_gives_a_quarter_of_a_degree(still):
+    angle, degree = errors(at_end(regression(still, half_turns=40), still),
+                           still.dolp, still.aop)
+    assert rms(np.rad2deg(angle)) < 0.25
+    assert rms(degree) < 0.04
+
+
+def test_thresholds_are_learned_per_pixel(still):
+    method = regression(still, theta_on=0.2, theta_off=0.2)
+    on, off = method.thresholds[:, 0]
+    assert rms(np.log(on / still.on)) < 0.015
+    assert rms(np.log(off / still.off)) < 0.015
+    assert method.common_sigma < 0.05
+
+
+def test_weak_light_is_stated_only_where_it_is_known():
+    scene = Still(degree=(0.05, 0.3), jitter=0.02, seconds=1.4)
+    found = at_end(regression(scene, half_turns=40, threshold_sigma=0.05), scene)
+    angle, degree = errors(found, scene.dolp, scene.aop)
+    valid = found.valid[0]
+    assert 0.15 < valid.mean() < 0.6    # a swing below a threshold gives no event
+    assert rms(np.rad2deg(angle[valid])) < 4
+    assert rms(degree[valid]) < 0.03
+    assert np.mean(np.abs(degree) < found.sigmas[1, 0], where=valid) > 0.55
+    assert np.mean(np.abs(angle) < found.sigmas[0, 0], where=valid) > 0.55
+
+
+def test_sensitive_pixels_see_weak_light():
+    scene = Still(degree=(0.1, 0.3), thetas=(0.1, 0.11), jitter=0.02)
+    found = at_end(regression(scene, theta_on=0.1, theta_off=0.11, half_turns=40,
+                              threshold_sigma=0.05), scene)
+    angle, degree = errors(found, scene.dolp, scene.aop)
+    valid = found.valid[0]
+    assert valid.mean() > 0.95
+    assert rms(np.rad2deg(angle[valid])) < 4
+    assert rms(degree[valid]) < 0.03
+
+
+def test_a_scale_that_weak_light_does_not_tell_is_in_the_sigma():
+    scene = Still(degree=(0.1, 0.25), thetas=(0.1, 0.1))
+    found = at_end(regression(scene, theta_on=0.15, theta_off=0.15), scene)
+    _, degree = errors(found, scene.dolp, scene.aop)
+    assert rms(degree) > 0.05
+    assert np.mean(np.abs(degree) < 1.5 * found.sigmas[1, 0]) > 0.9
+
+
+def test_a_moving_scene_is_in_the_sigma():
+    n, hz = 600, 20.0
+    places = np.arange(-200, n + 10)
+    rng = np.random.default_rng(3)
+
+    def texture(period):
+        spectrum = np.fft.rfft(rng.standard_normal(len(places)))
+        spectrum[np.fft.rfftfreq(len(places)) > 1 / period] = 0
+        wave = np.fft.irfft(spectrum, len(places))
+        return lambda t: np.interp(np.arange(n) - 2 * hz * t, places, wave / wave.std())
+
+    grey, more, turned = texture(8), texture(16), texture(16)
+
+    def dolp(t):
+        return 0.6 + 0.1 * np.tanh(more(t))
+
+    def aop(t):
+        return 0.4 * turned(t)
+
+    def light(t):
+        return np.exp(0.3 * grey(t)) * (
+            1 + dolp(t) * np.cos(2 * (2 * np.pi * hz * t - aop(t))))
+
+    error = np.exp(0.045 * rng.standard_normal((2, n)))
+    method = TurningRegression((1, n), theta_on=0.23, theta_off=0.27,
+                               segments=TurningAnalyser(rpm=60 * hz).segments())
+    method.add_events(events_of(light, 0.23 * error[0], 0.27 * error[1], 1.0))
+    t = 1_000_000 - method.lookahead_us
+    found = method.polarization(t)
+    angle, degree = errors(found, dolp(t / 1e6), aop(t / 1e6))
+    valid = found.valid[0]
+    for error, sigma in zip((angle, degree), found.sigmas[:2, 0], strict=True):
+        assert 0.5 < np.mean(np.abs(error) < sigma, where=valid) < 0.85
+    assert rms(angle) > np.deg2rad(0.5)
+
+
+def test_turning_everything_turns_the_angle_only(still):
+    one = at_end(regression(still), still)
+    segments = TurningAnalyser(rpm=60 * still.hz, phase=0.7).segments()
+    other = at_end(regression(still, segments=segments), still)
+    angle, degree = errors(one, still.dolp, still.aop)
+    turned, same = errors(other, still.dolp, still.aop + 0.7)
+    np.testing.assert_allclose(turned, angle, atol=2e-3)
+    np.testing.assert_allclose(same, degree, atol=2e-3)
+    np.testing.assert_allclose(other.sigmas, one.sigmas, rtol=0.1, atol=1e-3)
+
+
+def test_the_other_direction_mirrors_the_angle(still):
+    back = TurningAnalyser(rpm=-60 * still.hz).segments()
+    angle, _ = errors(at_end(regression(still, segments=back), still),
+                      still.dolp, -still.aop)
+    assert rms(np.rad2deg(angle)) < 1
+
+
+def test_state_and_packets_do_not_change_the_images(still):
+    whole = at_end(regression(still), still)
+    parts = TurningRegression((1, len(still.on)), theta_on=0.23, theta_off=0.27,
+                              segments=TurningAnalyser(rpm=60 * still.hz).segments())
+    cut = len(still.events) // 3
+    for i in range(0, cut, 997):
+        parts.add_events(still.events[i:min(i + 997, cut)])
+    kept = pickle.loads(pickle.dumps(parts.snapshot()))
+    parts.add_events(still.events[cut:])
+    again = TurningRegression(parts.shape, **parts.parameters)
+    again.restore(kept)
+    again.add_events(still.events[cut:])
+    for one in at_end(parts, still), at_end(again, still):
+        for mine, other in zip(whole, one, strict=True):
+            np.testing.assert_array_equal(mine, other)
+
+
+def test_frames_give_the_level_of_s0(still):
+    method = regression(still)
+    t = still.stop_us
+    seconds = (t + np.linspace(0, 5000, 101)) * 1e-6
+    dn = 50 * np.mean([still.light(one) for one in seconds], 0)[None] * 5
+    method.add_frame(ApsFrame(dn.astype(np.float32), t, t + 5000))
+    found = method.polarization(t + 2500)
+    s0 = found.quad[0] + found.quad[2]
+    assert np.quantile(np.abs(np.log(s0 / 100)), 0.95) < 0.02
+
+
+@pytest.mark.parametrize("change", [
+    {"half_turns": 0}, {"segments": np.zeros((1, 3))}, {"threshold_sigma": -1},
+    {"theta_on": 0}])
+def test_bad_parameters_are_named(still, change):
+    with pytest.raises(ValueError, match=next(iter(change))):
+        regression(still, **change)
+
+
+def test_an_image_cannot_lie_before_what_was_fed(still):
+    method = regression(still)
+    with pytest.raises(ValueError, match="t_us must not lie before"):
+        method.polarization(still.stop_us - 200_000)
+
+
+# ---- kernels and their twins ---------------------------------------------------------
+
+
+def cells_like(method):
+    """Return cells of the kernel, with nothing in them."""
+    return TurningRegression(method.shape, **method.parameters)._cells
+
+
+def test_sums_match_the_reference(still):
+    method = regression(still, learn=False)
+    (_, phase, rate), = method.segments
+    tau = 12_500.0
+    for x in 3, 17, 40:
+        pixel = reference.Pixel(0.23, 0.27)
+        for t, _, _, _, p in [(e["t"], 0, 0, 0, e["p"]) for e in still.events
+                              if e["x"] == x]:
+            pixel.event(float(t), int(p), phase + rate * float(t), rate, tau, 1.0)
+        cell = method._cells[0, x]
+        for name, value in {
+                "a11": pixel.a[0, 0], "a12": pixel.a[0, 1], "a22": pixel.a[1, 1],
+                "b1": pixel.b[0], "b2": pixel.b[1], "yy": pixel.yy, "n": pixel.n,
+                "s1": pixel.s[0], "s2": pixel.s[1], "rest": pixel.rest}.items():
+            assert cell[name] == pytest.approx(value, rel=2e-3, abs=2e-4), name
+
+
+def test_thresholds_match_the_reference(still):
+    method = regression(still, learn=False)
+    events = still.events[still.events["t"] < 300_000]
+    cells = cells_like(method)
+    _kernels.turning_events(events, -2**62, cells, method.segments, 12_500.0, 1.0)
+    told = np.zeros(cells.shape, np.uint8)
+    _kernels.turning_learn(cells, 0.23, 0.27, 0.3, told)
+    (_, phase, rate), = method.segments
+    for x in np.flatnonzero(told[0] == 2)[:4]:
+        pixel = reference.Pixel(0.23, 0.27)
+        for event in events[events["x"] == x]:
+            t = float(event["t"])
+            pixel.event(t, int(event["p"]), phase + rate * t, rate, 12_500.0, 1.0)
+        steps = np.clip(pixel.thresholds(0.23, 0.27, 0.3), -0.2, 0.2)
+        on, off = (2 * np.log(cells[name][0, x]) for name in ("on", "off"))
+        np.testing.assert_allclose(
+            np.log([on / 0.23, off / 0.27]), steps, atol=3e-3)
+
+
+def test_kernels_stop_at_the_first_bad_event(still):
+    method = regression(still, learn=False)
+    cells = cells_like(method)
+    events = np.zeros(4, EVENT_DTYPE)
+    events["t"] = 10, 20, 15, 30
+    take = _kernels.turning_events
+    assert take(events, 0, cells, method.segments, 1e4, 1.0) == 2
+    events["t"], events["x"] = 40, (0, len(still.on), 0, 0)
+    assert take(events, 0, cells, method.segments, 1e4, 1.0) == 1
+    assert take(events[:0], 0, cells, method.segments, 1e4, 1.0) == 0
+    with pytest.raises(ValueError, match="segments must be"):
+        take(events, 0, cells, np.zeros((0, 3)), 1e4, 1.0)
+    with pytest.raises(ValueError, match="told must have"):
+        _kernels.turning_learn(cells, 0.2, 0.2, 0.1, np.zeros((2, 1), np.uint8))
+
+
+# ---- the angle -----------------------------------------------------------------------
+
+
+def pulses(hz, seconds, n=1, drift=0.0, ramp=0.0):
+    """Return times of pulses, us, and turns by then, of a motor."""
+    t = np.linspace(0, seconds, 200_001)
+    speed = hz * (1 + drift * t / 10) * np.clip(t / ramp if ramp else 1, 0.05, 1)
+    turns = np.concatenate(([0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(t))))
+    which = np.arange(0, math.floor(turns[-1] * n) + 1)
+    return np.interp(which / n, turns, t) * 1e6, (t * 1e6, turns)
+
+
+def turned(segments, t_us):
+    """Return turns of the analyser at times, from its segments."""
+    k = np.maximum(np.searchsorted(segments[:, 0], t_us, "right") - 1, 0)
+    return (segments[k, 1] + segments[k, 2] * (t_us - segments[k, 0])) / (4 * np.pi)
+
+
+@pytest.mark.parametrize("n", [1, 12])
+@pytest.mark.parametrize(("drift", "ramp"), [(0, 0), (0.02, 0), (-0.02, 0), (0.02, 3)])
+def test_pulses_tell_the_angle(n, drift, ramp):
+    t, (at, turns) = pulses(20.0, 10, n, drift, ramp)
+    times = np.linspace(2e6 if ramp else 0, 9.9e6, 5000)
+    error = turned(TurningAnalyser(triggers=n).segments(t), times) - np.interp(
+        times, at, turns)
+    error -= np.round(error[-1])    # whole turns that it made at first
+    assert np.max(np.abs(error)) < (0.01 if ramp else 1e-4)
+
+
+@pytest.mark.parametrize("n", [1, 12])
+@pytest.mark.parametrize("fault", ["lost", "false", "late", "both"])
+def test_a_fault_of_a_pulse_stays_in_its_turn(n, fault):
+    t, (at, turns) = pulses(20.0, 5, n, 0.02)
+    k = 20 * n
+    period = t[k + 1] - t[k]
+    bad = np.delete(t, k) if fault in ("lost", "both") else t
+    if fault != "lost":
+        bad = np.sort(np.append(bad, t[3 * k] + period * (
+            0.97 if fault == "late" else 0.4)))
+    times = np.linspace(0, 5e6, 20_000)
+    error = np.abs(turned(TurningAnalyser(triggers=n).segments(bad), times)
+                   - np.interp(times, at, turns))
+    near = np.zeros(len(times), bool)
+    for one in t[k], t[3 * k]:
+        near |= np.abs(times - one) < 55_000
+    assert error[~near].max() < 1e-4
+    assert error.max() < 0.05
+
+
+def test_pulses_as_they_come_give_the_angle_from_those_before():
+    t, (at, turns) = pulses(20.0, 5, 1, 0.02)
+    clock = PulseClock(TurningAnalyser(triggers=1, rpm=1300))
+    for part in np.array_split(t, 23):
+        clock.add(part)
+    times = np.linspace(1e6, 4.9e6, 2000)
+    error = turned(clock.segments(), times) - np.interp(times, at, turns)
+    assert np.max(np.abs(error)) < 5e-4
+
+
+def test_phase_and_direction_of_pulses():
+    t = np.arange(10) * 50_000
+    segments = TurningAnalyser(triggers=2, rpm=-600, phase=0.3).segments(t)
+    np.testing.assert_allclose(segments[:, 1], 0.6 - 2 * np.pi * np.arange(10))
+    assert (segments[:, 2] < 0).all()
+
+
+def test_a_stated_speed_is_one_line():
+    (t, angle, rate), = TurningAnalyser(rpm=-600, phase=0.2).segments()
+    assert (t, angle, rate * 1e6) == (0, 0.4, pytest.approx(-40 * np.pi))
+    assert TurningAnalyser().found
+    assert not TurningAnalyser(triggers=1).found
+
+
+@pytest.mark.parametrize(("values", "match"), [
+    ({"rpm": 0}, "rpm must"), ({"rpm": np.nan}, "rpm must"),
+    ({"phase": np.inf}, "phase must"), ({"triggers": 0}, "triggers must"),
+    ({"triggers": 1.5}, "triggers must")])
+def test_bad_analysers_are_refused(values, match):
+    with pytest.raises(ValueError, match=match):
+        TurningAnalyser(**values)
+
+
+def test_too_few_pulses_are_an_error():
+    with pytest.raises(ValueError, match="two trigger pulses or more, got 1"):
+        TurningAnalyser(triggers=1).segments([5])
