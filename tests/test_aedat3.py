@@ -118,7 +118,7 @@ def test_a_time_ahead_of_its_successors_costs_itself_only(tmp_path):
             event_packets, ([54], [1610, 671, 818], [1503, 3501], [5000, 6000]))))
     (events, *_), problems = read(tmp_path / "x")
     assert events["t"].tolist() == [54, 671, 818, 1503, 3501, 5000, 6000]
-    assert [(p.kind, p.count) for p in problems] == [("wild time", 1)]
+    assert [(p.kind, p.count) for p in problems] == [("backward time", 1)]
 
 
 def test_a_time_that_the_next_two_packets_are_before_costs_itself_only(tmp_path):

@@ -239,3 +239,14 @@ def test_wild_times_of_an_unclosed_file_are_dropped(read):
     assert len(imu) == 28
     assert imu["t"].max() < 60_000
     assert "segment" not in {p.kind for p in recording.problems}
+
+
+def test_one_wild_time_at_the_end_of_a_packet_costs_no_sample_of_the_next(read):
+    times = [[10_000 * k + 2_000 * i for i in range(5)] for k in range(4)]
+    wanted = [t for part in times for t in part if t != 18_000]
+    times[1][4] += 1 << 33
+    packets = [events([(0, 1, 1, 1), (39_000, 1, 1, 1)])]
+    packets += [imu_samples([(t, *[1] * 7) for t in part]) for part in times]
+    (_, _, imu, _), recording = read(jaer_file(packets))
+    assert imu["t"].tolist() == wanted
+    assert [(p.kind, p.count) for p in recording.problems] == [("backward time", 1)]

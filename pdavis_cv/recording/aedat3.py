@@ -29,12 +29,10 @@ from pdavis_cv.recording.sequential import PiecewiseRecording
 from pdavis_cv.recording.timeline import (
     LOOK_AHEAD,
     NEVER,
-    SPIKE_US,
     Clock,
     Marks,
     Timeline,
     possible_range,
-    spikes,
 )
 from pdavis_cv.sensor import Sensor
 
@@ -378,12 +376,7 @@ def _wild(kind: int, times: NDArray[np.int64], before: dict[int, int],
     following += [one + slack for one in others[:LOOK_AHEAD - len(following)]]
     first, last = possible_range(
         times, following, before.get(kind, before.get(_ANY, NEVER + slack) - slack))
-    wild = (times < first) | (times > last)
-    wild[1:-1] |= spikes(times, SPIKE_US)
-    # A time that its successors precede, if they follow its predecessor.
-    earlier = np.concatenate(([first], times))[:len(times) - 1]
-    wild[:-1] |= (times[:-1] > times[1:]) & (earlier <= times[1:])
-    return wild
+    return (times < first) | (times > last)
 
 
 def _polarity(data: bytes, base: int) -> NDArray[Any]:

@@ -18,13 +18,12 @@ from numpy.typing import NDArray
 
 from pdavis_cv.events import FAR
 
-__all__ = ["LOOK_AHEAD", "NEVER", "SEGMENT_US", "SPIKE_US", "Clock", "Marks",
-           "Timeline", "possible_range", "spikes"]
+__all__ = ["LOOK_AHEAD", "NEVER", "SEGMENT_US", "Clock", "Marks", "Timeline",
+           "possible_range"]
 
 NEVER = -FAR
 """A time before any that a file may hold, us."""
 SEGMENT_US = 1_000_000
-SPIKE_US = 1_000
 WRAP_US = 1 << 32
 """Jump backward of a 32-bit microsecond counter that overflows, us."""
 LOOK_AHEAD = 3
@@ -96,6 +95,8 @@ class Clock:
     def order(self, times: NDArray[Any]) -> tuple[NDArray[np.bool_], list[int]]:
         """Shift times in place; return which samples to keep and where segments begin.
 
+        A time ahead of both its neighbours is dropped, and so is one far behind both.
+
         Parameters
         ----------
         times : ndarray of int64, shape (N,)
@@ -112,13 +113,15 @@ class Clock:
             return keep, segments
         raws = times.tolist()
         for i, raw in enumerate(raws):
-            t = raw + int(self.state[2])
-            # One damaged time is no jump: the next goes on.
-            alone = i + 1 < len(raws) and raws[i + 1] + int(self.state[2]) >= self.last
-            while self.last - t > SEGMENT_US and -FAR < t and not alone:
+            t, later = raw + int(self.state[2]), raws[i + 1:i + 2]
+            # As `take` in _check.pxd: time jumps back only if the next one agrees.
+            while self.last - t > SEGMENT_US and -FAR < t and (
+                    later[0] + int(self.state[2]) < self.last if later
+                    else len(raws) == 1):
                 t += self.jump(t)
                 segments.append(i)
-            keep[i] = self.last <= t < FAR and t > -FAR
+            ahead = bool(later) and t > later[0] + int(self.state[2]) >= self.last
+            keep[i] = self.last <= t < FAR and t > -FAR and not ahead
             if keep[i]:
                 times[i] = t
                 self.state[1] = t
@@ -233,22 +236,3 @@ def _in_order(times: NDArray[np.int64]) -> bool:
 def _median(times: NDArray[np.int64]) -> int:
     """Return a median that is one of the times."""
     return int(np.sort(times)[len(times) // 2])
-
-
-def spikes(times: NDArray[np.int64], limit_us: int) -> NDArray[np.bool_]:
-    """Return which times, except the first and last, come from damaged words.
-
-    Such a time lies far from both neighbours, on the same side, while these two are in
-    order.
-
-    Parameters
-    ----------
-    times : ndarray of int64, shape (N,)
-    limit_us : int
-        Distance that counts as far.
-    """
-    left, here, right = times[:-2], times[1:-1], times[2:]
-    found: NDArray[np.bool_] = (right - left > -limit_us) & (
-        (np.minimum(here - left, here - right) > limit_us)
-        | (np.minimum(left - here, right - here) > limit_us))
-    return found

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.errors import PdavisWarning, RecordingError
-from pdavis_cv.events import EVENT_DTYPE, FAR
+from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.aedat4 import samples
 from pdavis_cv.recording.aedat4.container import Aedat4File, Entry
 from pdavis_cv.recording.aedat4.flatbuffer import PayloadError, Table
@@ -18,19 +18,15 @@ from pdavis_cv.recording.timeline import (
     LOOK_AHEAD,
     NEVER,
     SEGMENT_US,
-    SPIKE_US,
     Clock,
     Timeline,
     possible_range,
-    spikes,
 )
 
 __all__ = ["Cursor"]
 
 KEPT_BYTES = 1 << 22
 """Packets that were examined ahead are kept up to this size, larger ones read again."""
-MANY = 5
-"""From this number of times in a packet on, several outliers are not damage."""
 
 
 class Cursor:
@@ -235,10 +231,11 @@ class Cursor:
         read = samples.imu_samples if self.kind == "IMUS" else samples.triggers
         got = read(*self._file.table(entry))
         times = got["t"].astype(np.int64)
-        if not self._file.indexed and (wild := _wild(times)).any():
-            self._count(entry, "wild time", int(np.count_nonzero(wild)), "samples were "
-                        "dropped because their time does not fit those around it")
-            got, times = got[~wild], times[~wild]
+        if not self._file.indexed and len(times) > 2 and (
+                int(times[-1]) - int(times[-2]) > SEGMENT_US):
+            got, times = got[:-1], times[:-1]       # all that follow would seem late
+            self._count(entry, "backward time", 1,
+                        "samples were dropped because time ran backward after them")
         keep, segments = self.clock.order(times)
         got["t"] = times
         for i in segments:
@@ -278,21 +275,6 @@ class Cursor:
             f"packet at (t={_time(data, at, i)}, x={x}, y={y}, "
             f"p={data[at + 16 * i + 12]}) lies outside the sensor, or before its "
             "predecessor")
-
-
-def _wild(times: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which times of a packet come from damaged words; none if many do."""
-    if len(times) < MANY or (np.all(times[1:] >= times[:-1])
-                             and times[-1] - times[-2] <= SEGMENT_US):
-        return np.zeros(len(times), np.bool_)
-    # Differences of int64 may overflow.
-    t = np.clip(times, -FAR, FAR)
-    wild = np.zeros(len(t), np.bool_)
-    wild[1:-1] = spikes(t, SPIKE_US)
-    wild[0] = t[0] - max(t[1], t[2]) > SPIKE_US
-    wild[-1] = (min(t[-2], t[-3]) - t[-1] > SPIKE_US
-                or t[-1] - max(t[-2], t[-3]) > SEGMENT_US)
-    return wild & (np.count_nonzero(wild) * MANY <= len(times))
 
 
 def _times(data: bytes, at: int, count: int) -> NDArray[np.int64]:
