@@ -1,5 +1,6 @@
 """Prophesee RAW and DAT, lists of events as text and arrays, HDF5 of rpg."""
 import pickle
+import zipfile
 
 import numpy as np
 import pytest
@@ -494,3 +495,18 @@ def test_times_in_nanoseconds_may_be_numbers_with_a_point(tmp_path):
     with open_recording(tmp_path / "x.npy", sensor_size=(4, 4)) as recording:
         assert recording.info.header["time_unit"] == "ns"
         assert np.abs(recording.events()["t"] - us).max() <= 1
+
+
+def test_an_archive_with_a_file_without_a_name_is_read(tmp_path):
+    with zipfile.ZipFile(tmp_path / "x.zip", "w") as archive:
+        archive.writestr("a.txt", "1 2 3 0\n")
+        archive.writestr("b", "")
+    data = (tmp_path / "x.zip").read_bytes()
+    at = data.rindex(b"PK\x01\x02")       # of the second file, in the directory
+    end = data.rindex(b"PK\x05\x06")
+    entry = bytearray(data[at:end])
+    entry[28:30] = bytes(2)         # no name; its byte is that of a comment
+    entry[32:34] = b"\1\0"
+    (tmp_path / "x.zip").write_bytes(data[:at] + entry + data[end:])
+    with open_recording(tmp_path / "x.zip", sensor_size=(4, 4)) as recording:
+        assert recording.events().tolist() == [(1, 2, 3, 0)]

@@ -116,7 +116,9 @@ class TextRecording(_EventList):
             return reader
         try:
             with zipfile.ZipFile(self._path) as archive:
-                members = [m for m in archive.infolist() if not m.is_dir()]
+                # is_dir() fails on a name that is empty.
+                members = [m for m in archive.infolist()
+                           if not m.filename.endswith("/")]
             texts = [m for m in members if m.filename.lower().endswith((".txt", ".csv"))
                      and m.file_size <= MOST_RATIO * reader.size]
             text = unpacked(self._path, texts[0]) if len(texts) == 1 else None
