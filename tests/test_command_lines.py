@@ -29,7 +29,8 @@ SUBCOMMANDS = {
 }
 # What runs for long where nothing is wrong with the line is given something wrong.
 CERTAIN = {"demo": ("--bogus",), "simulate": ("--seconds", "0"),
-           "stream": ("--bogus",), "view": ("--bogus",)}
+           "stream": ("--bogus",), "view": ("--bogus",),
+           "webcam": ("--bogus",)}
 
 
 class Hang(Exception):

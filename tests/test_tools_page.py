@@ -13,7 +13,7 @@ from pdavis_cv.tools.main import main
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "tools.md"
 LINES = re.findall(r"\| `pdavis ([^`]+)` \|$", PAGE.read_text(), re.M)
-RUNS_ON = ("view", "stream", "devices")     # servers, and a camera on USB
+RUNS_ON = ("view", "stream", "webcam", "devices")   # servers and cameras
 ELSEWHERE = ("weights", "demo")             # tests/test_checkpoint.py, test_tools.py
 SIZE = ("--size", "24x24")
 WHAT_THE_SHELL_FINDS = ["recording.aedat4"]

@@ -17,6 +17,7 @@ COMMANDS = {
     "info": "show what a recording contains",
     "view": "show a recording or a live source in a browser, and stream it as MJPEG",
     "stream": "send a recording or a live source to DV and dv-processing",
+    "webcam": "show a recording or a live source as a webcam",
     "devices": "list connected cameras, or record the raw data of one",
     "export": "fuse a recording into a video, pictures or arrays",
     "batch": "process many recordings, on all cores or a cluster",

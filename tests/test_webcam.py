@@ -1,0 +1,65 @@
+"""pdavis webcam, with a stand-in for the system's virtual camera."""
+import sys
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+
+import pdavis_cv
+from pdavis_cv.data import example_recording
+from pdavis_cv.tools.main import main
+
+pytest.importorskip("cv2")
+SOURCE = str(example_recording("fan"))
+
+
+@pytest.fixture
+def cameras(monkeypatch):
+    made = []
+
+    class Camera:
+        def __init__(self, width, height, fps, *, fmt, device):
+            if device == "/dev/none":
+                raise RuntimeError("no loopback\ndevice found")
+            self.size, self.fps, self.fmt = (width, height), fps, fmt
+            self.device, self.sent = device or "/dev/video7", []
+            made.append(self)
+
+        def send(self, picture):
+            self.sent.append(picture.copy())
+
+        def sleep_until_next_frame(self):
+            pass
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *exc):
+            self.closed = True
+
+    module = ModuleType("pyvirtualcam")
+    module.Camera, module.PixelFormat = Camera, SimpleNamespace(BGR="bgr")
+    monkeypatch.setitem(sys.modules, "pyvirtualcam", module)
+    return made
+
+
+def test_a_webcam_shows_the_pictures_of_a_capture(cameras, capsys):
+    assert main(["webcam", SOURCE, "--fps", "20", "--output", "dolp_bgr"]) == 0
+    [camera] = cameras
+    assert (camera.size, camera.fps, camera.fmt) == ((56, 56), 20, "bgr")
+    assert camera.closed
+    with pdavis_cv.VideoCapture(SOURCE, fps=20, output="dolp_bgr") as capture:
+        wanted = [picture for ok, picture in iter(capture.read, (False, None))]
+    np.testing.assert_array_equal(camera.sent, wanted)
+    assert capsys.readouterr().out.splitlines() == [
+        "/dev/video7: 56x56, 20 per second", f"{len(wanted)} images"]
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    ((SOURCE, "--device", "/dev/none"), "no loopback device found"),
+    (("none.aedat4",), "cannot be opened")])
+def test_mistakes_are_one_line(cameras, capsys, arguments, message):
+    assert main(["webcam", *arguments]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
