@@ -33,8 +33,8 @@ cdef inline int take(event_t* out, Py_ssize_t i, int64_t t, int64_t following,
     """Append one event, drop it, or report that time jumped back before it.
 
     following is the time of the next event.  An event later than both its neighbours is
-    damaged and is dropped; otherwise all later events would seem to run backward.  So is
-    one earlier than both: time jumps back only if the next event agrees.
+    damaged and is dropped; otherwise all later events would seem to run backward.  So
+    is one earlier than both: time jumps back only if the next event agrees.
     """
     cdef int64_t last = state[LAST]
     if (x < 0 or x >= width or y < 0 or y >= height or p < 0 or p > 1 or far(t)):

@@ -153,7 +153,8 @@ cdef inline int trigger_type(int special) noexcept nogil:
 
 
 def davis_words(const uint16_t[::1] words not None, Py_ssize_t begin, bint turned,
-                Py_ssize_t height, Py_ssize_t width, int64_t[::1] state not None, uint16_t[:, :, ::1] reads not None,
+                Py_ssize_t height, Py_ssize_t width, int64_t[::1] state not None,
+                uint16_t[:, :, ::1] reads not None,
                 int64_t[:, ::1] times not None, event_t[::1] out not None,
                 int64_t[:, ::1] imu not None, int64_t[:, ::1] triggers not None):
     """Decode words from begin on while there is room; return (index, reason).

@@ -45,7 +45,7 @@ class TurningAnalyser:
     --------
     >>> analyser = TurningAnalyser(rpm=600)
     >>> angle = analyser.segments()[0]      # at 0 us; then 10 turns per second
-    >>> round(angle[2] * 1e6 / (4 * np.pi), 9)
+    >>> round(float(angle[2]) * 1e6 / (4 * np.pi), 9)
     10.0
     """
 

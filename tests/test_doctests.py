@@ -11,6 +11,8 @@ def modules():
     names = []
     for folder, prefix in (("pdavis_cv", "pdavis_cv"), ("tools", "pdavis_cv.tools")):
         for path in sorted((ROOT / folder).rglob("*.py")):
+            if path.stem == "__main__":
+                continue    # to import it runs the program
             parts = path.relative_to(ROOT / folder).with_suffix("").parts
             names.append(".".join((prefix, *(p for p in parts if p != "__init__"))))
     return names

@@ -269,7 +269,7 @@ def test_what_opens_is_named(name):
     ("export R -o x.webm --roi 0,0,9", "4 numbers with commas between them, got"),
     ("export . -o x.webm", "a folder that is not a recording"),
     ("export R -o x.jpg", "must end in .webm"),
-    ("convert R x.csv", "must end in .aedat4"),
+    ("convert R x.jpg", "must end in .aedat4"),
     ("view R --port 99999", "must lie in 0..65535"),
     ("view usb", "a camera has an address, such as usb:"),
     ("exprot R", "did you mean export?"), ("help", "see pdavis --help")])

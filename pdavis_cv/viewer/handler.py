@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import hmac
 import io
 import json
@@ -13,12 +14,12 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler
+from importlib.resources import files
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import QUANTITIES
-from pdavis_cv.viewer.page import page
 from pdavis_cv.viewer.panes import (
     archive,
     levels_of,
@@ -66,6 +67,12 @@ _FILES = {"/": ("page.html", "text/html; charset=utf-8"),
              for name in _SCRIPTS}}
 _PUBLIC = tuple(_FILES.keys() - {"/"})
 """Files that are served without a token, as every copy of the library has them."""
+
+
+@functools.cache
+def _file(name: str) -> bytes:
+    """Return a file of the page, which is in the package."""
+    return files("pdavis_cv.viewer").joinpath(name).read_bytes()
 
 
 class _Refused(Exception):
@@ -233,7 +240,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def _file(self) -> None:
         name, kind = _FILES[self.where]
-        self._send(page(name), kind)
+        self._send(_file(name), kind)
 
     def _status(self) -> None:
         told = self._site.show.status()
