@@ -6,7 +6,7 @@ FlatBuffer IOHE, packets of (int32 stream, int32 size, payload), a table FTAB.
 from __future__ import annotations
 
 import contextlib
-import re
+import heapq
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -256,16 +256,15 @@ class Aedat4File:
         else:
             lz4_used = self.compression.startswith("LZ4")
             marks, before = [_LZ4_MAGIC if lz4_used else _ZSTD_MAGIC], 8
-        found = re.compile(b"(?=" + b"|".join(map(re.escape, marks)) + b")")
         # From small blocks to large ones, so that what is read is as far as it is.
         base, step, overlap = at, 64, 32
         while base < until:
             block = self.reader.read(base, min(step, until - base) + overlap)
-            for one in found.finditer(block):
-                start = base + one.start() - before
+            for i in heapq.merge(*(_find_all(block, mark) for mark in set(marks))):
+                start = base + i - before
                 if at <= start < until and self._plausible(start, limit) is not None:
                     return start
-            base, step = base + step, min(2 * step, 1 << 20)
+            base, step = base + step, min(16 * step, 1 << 20)
         return None
 
     def table(self, entry: Entry) -> tuple[bytes, Table]:
