@@ -137,6 +137,42 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
     return i, why
 
 
+cdef inline Py_ssize_t single_events(
+        const uint16_t* words, Py_ssize_t i, Py_ssize_t n, int64_t height,
+        int64_t width, int64_t* at, int64_t* s, Py_ssize_t room, event_t* out
+        ) noexcept nogil:
+    """Decode what usually is there: a time or none, a row or none, and an event.
+
+    Returns the index of the first word that is not, below n.  Which of them there are
+    cannot be predicted, so they are selected by masks, without branches.
+    """
+    cdef int64_t high = at[LOOPS] + (at[HIGH] << 12), time = at[TIME], row = at[ROW]
+    cdef int64_t last = s[LAST], t, x, mask
+    cdef int64_t most = <int64_t>1 << 61
+    cdef Py_ssize_t k = s[FILLED]
+    while i + 3 < n and k <= room:
+        mask = -<int64_t>(words[i] >> 12 == 6)
+        time += (high + (words[i] & 0xFFF) - time) & mask
+        i -= mask
+        mask = -<int64_t>(words[i] >> 12 == 0)
+        row += ((words[i] & 0x7FF) - row) & mask
+        i -= mask
+        t = time + s[OFFSET]
+        x = words[i] & 0x7FF
+        if (words[i] >> 12 != 2) | (x >= width) | (row >= height) | (t < last) | (
+                t > most):
+            break
+        out[k].t = t
+        out[k].x = <uint16_t>x
+        out[k].y = <uint16_t>row
+        out[k].p = words[i] >> 11 & 1
+        last = t
+        k += 1
+        i += 1
+    at[TIME], at[ROW], s[LAST], s[FILLED] = time, row, last, k
+    return i
+
+
 def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
                Py_ssize_t height, Py_ssize_t width, int64_t[::1] stream not None,
                int64_t[::1] state not None, int64_t[:, ::1] triggers not None,
@@ -164,6 +200,10 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
     at[TRIGGERS] = 0
     with nogil:
         while i < n and s[FILLED] <= room:
+            if at[HIGH] >= 0:
+                i = single_events(&words[0], i, n, height, width, at, s, room, &out[0])
+                if s[FILLED] > room:
+                    break
             word = words[i]
             kind = word >> 12
             if kind == 2 or kind == 4 or kind == 5:

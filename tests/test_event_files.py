@@ -96,6 +96,29 @@ def test_what_lies_outside_or_runs_backward_is_counted(tmp_path, name):
             recording.events()
 
 
+def test_words_of_evt3_are_decoded_alike_one_by_one_and_in_runs():
+    # A call with three words never takes the shorter way of usual runs.
+    rng = np.random.default_rng(3)
+    kinds = rng.choice([0, 2, 3, 4, 5, 6], 6_000, p=[.3, .3, .05, .03, .02, .3])
+    times = np.arange(6_000) % 600 * 6 + rng.integers(0, 12, 6_000)
+    value = np.where(kinds == 6, times, rng.integers(0, 4096, 6_000))
+    words = (kinds << 12 | value & 0xFFF).astype(np.uint16)
+    words[::600] = 8 << 12 | np.arange(10)
+    got = []
+    for step in (len(words), 3):
+        stream, state = np.zeros(8, np.int64), np.zeros(7, np.int64)
+        stream[0] = -1
+        out, room = np.zeros(80_000, EVENT_DTYPE), np.empty((4, 2), np.int64)
+        for begin in range(0, len(words), step):
+            part, done = words[begin:begin + step], 0
+            while done < len(part):
+                done, _ = _kernels.evt3_words(
+                    part, done, 900, 1500, stream, state, room, out)
+        got.append((out[:state[0]].tolist(), stream.tolist(), state[:5].tolist()))
+    assert got[0] == got[1]
+    assert got[0][2][0] > 500
+
+
 @pytest.mark.parametrize(("make", "loop"), [(evt2_file, 1 << 34), (evt3_file, 1 << 24)])
 def test_time_goes_on_where_its_counter_begins_anew(tmp_path, make, loop):
     events = some_events(1000, step=4)

@@ -20,7 +20,7 @@ from pdavis_cv.recording.open import open_recording
 
 from .cases import EVENTS, SHAPE, Comparison, case, event_input
 
-__all__: list[str] = []
+__all__ = ["write_evt3"]
 
 PROMISED = 20e6
 """Events per CPU second."""
@@ -40,7 +40,7 @@ def _evt2(path: Path, events: NDArray[Any]) -> None:
                      + words.astype("<u4").tobytes())
 
 
-def _evt3(path: Path, events: NDArray[Any]) -> None:
+def write_evt3(path: Path, events: NDArray[Any]) -> None:
     """Write what changes from event to event; none of these has a neighbour."""
     t, x, y, p = (events[name].astype(np.int64) for name in "txyp")
     rows = np.stack([8 << 12 | t >> 12 & 0xFFF, 6 << 12 | t & 0xFFF, y,
@@ -128,7 +128,7 @@ def _ros2(path: Path, events: NDArray[Any]) -> None:
 
 
 FORMATS: dict[str, tuple[Callable[[Path, NDArray[Any]], None], dict[str, Any]]] = {
-    "EVT2": (_evt2, {}), "EVT3": (_evt3, {}), "DAT": (_dat, {}),
+    "EVT2": (_evt2, {}), "EVT3": (write_evt3, {}), "DAT": (_dat, {}),
     "text, us": (partial(_text, line="{t} {x} {y} {p}\n"), _LISTS),
     "text, s": (partial(_text, line="{s}.{us:06d} {x} {y} {p}\n"), _LISTS),
     "npy": (_npy, _LISTS), "npz": (_npz, _LISTS), "rpg HDF5": (_rpg, {}),

@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from .cases import (
     case,
     event_input,
 )
+from .event_files import write_evt3
 
 __all__: list[str] = []
 
@@ -42,6 +43,12 @@ def _seconds(work: Callable[..., object], *arguments: Any) -> float:
     start = perf_counter()
     work(*arguments)
     return perf_counter() - start
+
+
+def _cpu_seconds(work: Callable[[], object]) -> float:
+    start = process_time()
+    work()
+    return process_time() - start
 
 
 def _rate(count: int, seconds: float) -> float:
@@ -131,6 +138,57 @@ def _aedat4() -> Iterator[Comparison]:
                 partial(_seconds, _all_events, path),
                 partial(_seconds, theirs, path),
                 partial(_rate, len(events)), "Mev/s")
+
+
+def _by_aedat(aedat: Any, path: Path) -> int:
+    return sum(len(packet["events"]) for packet in aedat.Decoder(path)
+               if "events" in packet)
+
+
+def _by_faery(faery: Any, path: Path) -> int:
+    if path.suffix == ".raw":
+        return sum(map(len, faery.events_stream_from_file(path)))
+    with faery.aedat.Decoder(path) as decoder:
+        return sum(len(packet) for _, packet in decoder)
+
+
+def _by_dv(dv: Any, path: Path) -> int:
+    recording, count = dv.io.MonoCameraRecording(str(path)), 0
+    while recording.isRunning():
+        batch = recording.getNextEventBatch()
+        count += 0 if batch is None else batch.size()
+    return count
+
+
+def _in_packets(path: Path, **peers: Callable[[Any, Path], int]
+                ) -> Iterator[Comparison]:
+    """Yield comparisons of CPU time, in which all packets are passed over."""
+    def ours() -> int:
+        with open_recording(path) as recording:
+            return sum(len(packet.events) for packet in recording.packets())
+
+    for name, theirs in peers.items():
+        count = partial(theirs, _peer(name), path)
+
+        def check(count: Callable[[], int] = count) -> None:
+            assert ours() == count() == EVENTS
+
+        yield Comparison(
+            f"{path.name[1:]} by {name}", check, partial(_cpu_seconds, ours),
+            partial(_cpu_seconds, count), partial(_rate, EVENTS), "Mev/s")
+
+
+@case("packets", "AEDAT-4 (LZ4) and EVT3 in packets, CPU time, against readers", 0.9)
+def _packets() -> Iterator[Comparison]:
+    events = event_input("uniform")
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "x.aedat4"
+        write_aedat4(path, recording_from_arrays(events, sensor_size=SHAPE))
+        yield from _in_packets(
+            path, aedat=_by_aedat, faery=_by_faery, dv_processing=_by_dv)
+        path = Path(folder) / "x.raw"
+        write_evt3(path, events)
+        yield from _in_packets(path, faery=_by_faery)
 
 
 @case("aedat4_write", "AEDAT-4 (LZ4) from packets of 10,000, against faery", 1.0)

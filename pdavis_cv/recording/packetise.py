@@ -26,6 +26,11 @@ __all__ = ["END_OF_TIME", "Batch", "between", "cell_start", "packetise"]
 
 END_OF_TIME = 1 << 62
 
+# glibc returns memory at the end of its heap to the system, but from then on that a
+# block of this size was released it keeps as much: each packet would else come of
+# pages that the system has to make, which takes longer than to decode it.
+np.empty(1 << 23, np.uint8)
+
 
 @dataclass(slots=True)
 class Batch:
@@ -80,6 +85,7 @@ def packetise(
     first = -END_OF_TIME if start_us is None else start_us
     end = END_OF_TIME if stop_us is None else stop_us
     begin = first if start_us is None else cell_start(start_us)
+    whole = start_us is stop_us is None
     for batch in chain(batches, (Batch(),)):
         for queue, samples in zip(
                 queues, (batch.events, batch.imu, batch.triggers), strict=True):
@@ -102,8 +108,9 @@ def packetise(
                 last = part_end == until
                 shut = ((frames.popleft(),) if last and closing else ())
                 packet = Packet(part, shut, imu.take(part_end), triggers.take(part_end))
-                packet = _cut(packet, first, end)
-                if packet.start_us is not None:
+                if not whole:
+                    packet = _cut(packet, first, end)
+                if whole or packet.start_us is not None:
                     yield packet
         if batch.complete_us >= end and at >= end:
             return
@@ -158,7 +165,7 @@ class _Queue:
     def take(self, until: int, limit: int = END_OF_TIME) -> NDArray[Any]:
         """Remove and return samples before until, at most limit."""
         if self.next_us >= until:
-            return self._empty.copy()
+            return self._empty
         got: list[NDArray[Any]] = []
         while self._chunks and limit > 0:
             chunk, lo = self._chunks[0], self._used

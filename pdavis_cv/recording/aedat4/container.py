@@ -381,13 +381,16 @@ def _begin(payload: bytes, compression: str) -> bytes:
 
 
 def _unpack_lz4(payload: bytes | memoryview) -> bytes:
-    unpacker = lz4.frame.LZ4FrameDecompressor()
+    # LZ4FrameDecompressor copies a memoryview.
+    unpack = lz4.frame.decompress_chunk
+    context = lz4.frame.create_decompression_context()
+    data: bytes
     try:
         guess = min(max(4 * len(payload), 1 << 16), MAX_PAYLOAD)
-        data: bytes = unpacker.decompress(payload, max_length=guess)
+        data, used, ended = unpack(context, payload, max_length=guess)
         size = _declared(data)
-        if size > len(data):
-            data += unpacker.decompress(b"", max_length=size - len(data))
+        if size > len(data) and not ended:
+            data += unpack(context, payload[used:], max_length=size - len(data))[0]
     except (RuntimeError, EOFError, MemoryError) as error:
         raise PayloadError(f"LZ4: {error}") from error
     if len(data) < size:
