@@ -29,7 +29,6 @@ from pdavis_cv.reconstruct.denoise import EventDenoiser  # noqa: E402
 from pdavis_cv.reconstruct.events import EventHighPass  # noqa: E402
 from pdavis_cv.reconstruct.frames import FrameHold  # noqa: E402
 from pdavis_cv.reconstruct.redundancy import EventRedundancy  # noqa: E402
-from pdavis_cv.simulation.ideal import rotating_polarizer  # noqa: E402
 
 ALLOWED = (TypeError, ValueError, pdavis_cv.PdavisError)
 LONGEST_S = 5.0      # of processor time
@@ -37,8 +36,7 @@ WAIT_S = 60
 MOST_BYTES = 200 << 20
 DRAWN = None
 """Generator of the numbers, where others than the written ones are asked for."""
-LONG = {("rotating_polarizer", "seconds"), ("rotating_polarizer", "rpm"),
-        ("EventRedundancy", "shape"), ("Camera.stream", "step_us")}
+LONG = {("EventRedundancy", "shape"), ("Camera.stream", "step_us")}
 """Arguments for which a large number is a large task, no mistake: not drawn."""
 SIZE = (12, 14)
 LAYOUT = pdavis_cv.Layout.PDAVIS
@@ -260,17 +258,11 @@ def table():
             "harmonics": 3}),
         ("axial_difference", a.axial_difference, {"a": plane, "b": plane}),
         ("retardance", a.retardance, {"dolp": plane / 4}),
-        ("events_by_phase", a.events_by_phase, {
-            "events": events, "period_us": 1000.0, "bins": 12}),
         ("aop_bgr", render.aop_bgr, {"aop": plane, "valid": plane > 1}),
         ("dolp_bgr", render.dolp_bgr, {"dolp": plane, "valid": plane > 1}),
         ("grey_bgr", render.grey_bgr, {"intensity": plane, "white": 2.0}),
         ("events_on", render.events_on, {
             "picture": SIZE, "events": events, "origin": (0, 0)}),
-        ("rotating_polarizer", rotating_polarizer, {
-            "rpm": 60.0, "seconds": 0.3, "size": (2, 2), "theta": (0.2, 0.2),
-            "dn": 600.0, "fps": 20.0, "exposure_us": 20_000, "readout_us": 100,
-            "dolp": 0.9, "extinction_ratio": 40.0, "start_angle": 0.0}),
     ]
     for name, method, more in (
             ("KalmanFilter", p.KalmanFilter, {"lookahead_us": 5000}),

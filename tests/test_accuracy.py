@@ -7,10 +7,10 @@ frame clock.
 """
 import numpy as np
 import pytest
+from ideal import rotating_polarizer
 
 from pdavis_cv import fuse
 from pdavis_cv.simulation import Camera, RotatingPolarizer
-from pdavis_cv.simulation.ideal import rotating_polarizer
 
 SPEEDS_RPM = (30, 60, 100, 200, 500, 1000)
 # AoP error in degrees, DoLP error: complementary filter, frames at mid-exposure.

@@ -1,21 +1,17 @@
-"""Checks of a camera: orientation, layout, alignment, and the empty instrument."""
+"""Checks of a camera: orientation and layout."""
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
+from ideal import rotating_polarizer
 
 from pdavis_cv import (
-    ApsFrame,
     Layout,
-    PolarFrame,
     open_recording,
     recording_from_arrays as record,
 )
-from pdavis_cv.calibration.align import alignment
 from pdavis_cv.calibration.check import check_recording
-from pdavis_cv.calibration.instrument import background
-from pdavis_cv.simulation.ideal import rotating_polarizer
 
 
 @pytest.fixture(scope="module")
@@ -56,42 +52,3 @@ def test_a_camera_without_polarizers_says_nothing_about_the_layout(real):
 def test_a_wrong_pairing_of_polarizers_is_found(layout, ok):
     recording, _ = rotating_polarizer(41.0, 1.0, size=(16, 16))
     assert check_recording(recording, layout)[1].ok is ok
-
-
-def test_alignment_reports_the_extinction_ratio_between_neighbours():
-    recording, _ = rotating_polarizer(
-        7.5, 2.0, size=(12, 14), extinction_ratio=40, exposure_us=1_000)
-    rows = list(alignment(recording, Layout.PDAVIS, roi=(1, 1, 11, 10)))
-    best = np.max([row.ratio for row in rows], axis=0)
-    np.testing.assert_allclose(best, 40, rtol=0.02)
-    for row, frame in zip(rows, (f for p in recording.packets() for f in p.frames),
-                          strict=True):
-        assert row.t_us == frame.mid_us
-        assert row.mean_dn[2] == pytest.approx(frame.dn[0::2, 1::2].mean(), rel=1e-6)
-        assert row.sd_dn == pytest.approx((0, 0, 0, 0), abs=1e-3)
-
-
-def test_the_background_is_the_mean_polarization_of_the_instrument():
-    rng = np.random.default_rng(2)
-    q, u, size = 0.03, -0.04, (8, 10)
-    ideal = np.array([1 + q, 1 + u, 1 - q, 1 - u]) / 2
-    images = [PolarFrame(ideal[:, None, None] * 100 + rng.normal(size=(4, *size)))
-              for _ in range(50)]
-    found = background(iter(images))
-    assert found.frames == 50
-    assert found.dolp == pytest.approx(0.05, abs=5 * 0.01 / np.sqrt(50 * 80))
-    assert found.aop == pytest.approx(np.arctan2(u, q) / 2 % np.pi, abs=0.02)
-    assert found.circular_purity == pytest.approx(np.sqrt(1 - 0.0025), abs=1e-4)
-    assert found.stokes.shape == (8, 10, 3)
-    np.testing.assert_allclose(found.stokes[..., 0], 1)
-    np.testing.assert_allclose(found.stokes[..., 1], q, atol=0.01)
-    with pytest.raises(ValueError, match="valid pixels, got 0 images"):
-        background([])
-
-
-def test_alignment_of_frames_with_dark_takes_it_out():
-    dn = np.tile([[20.0, 60.0], [30.0, 30.0]], (2, 2))
-    frame = ApsFrame(dn + 10, 0, 1)
-    row, = alignment([frame], Layout.PDAVIS, dark=np.full((4, 4), 10, np.float32))
-    assert row.mean_dn == (30, 30, 60, 20)
-    assert row.ratio == (2.0, 1.5)

@@ -1,10 +1,10 @@
 """Finding the layout: every arrangement, from frames and from events."""
 import numpy as np
 import pytest
+from ideal import rotating_polarizer
 
 from pdavis_cv import Layout, recording_from_arrays
 from pdavis_cv.calibration.layout import ALL_LAYOUTS, detect_layout
-from pdavis_cv.simulation.ideal import rotating_polarizer
 
 EIGHT = [turned for flipped in (Layout.PDAVIS, Layout.PDAVIS.flip_x())
          for turned in (flipped.rot90(k) for k in range(4))]

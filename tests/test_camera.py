@@ -1,12 +1,12 @@
 """The simulated camera against closed forms, statistics and itself."""
 import numpy as np
 import pytest
+from ideal import rotating_polarizer
 
 from pdavis_cv.simulation import (
     Camera,
     FlatLight,
     RotatingPolarizer,
-    rotating_polarizer,
 )
 
 

@@ -9,13 +9,13 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 import pytest
+from ideal import rotating_polarizer
 
 import pdavis_cv as p
 from pdavis_cv import CaptureStatus, Layout, VideoCapture, fuse
 from pdavis_cv.capture.outputs import outputs
 from pdavis_cv.capture.picture import tone
 from pdavis_cv.capture.source import layout_code, layout_of_code
-from pdavis_cv.simulation.ideal import rotating_polarizer
 
 POS_FRAMES, WIDTH, HEIGHT, FPS, COUNT, FORMAT, CONVERT_RGB = 1, 3, 4, 5, 7, 8, 16
 UNKNOWN = 0.0 if cv2.__version__.startswith("4") else -1.0

@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+from ideal import rotating_polarizer
 
 import pdavis_cv as p
 from pdavis_cv import Layout, VideoCapture
@@ -11,7 +12,6 @@ from pdavis_cv.capture import seeking
 from pdavis_cv.capture.seeking import Cursor
 from pdavis_cv.data import example_recording
 from pdavis_cv.fusion import Fusion
-from pdavis_cv.simulation.ideal import rotating_polarizer
 
 POS_MSEC, POS_FRAMES, COUNT = 0, 1, 7
 METHODS = [

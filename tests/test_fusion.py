@@ -6,11 +6,11 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from ideal import rotating_polarizer
 
 import pdavis_cv
 from pdavis_cv import ApsFrame, Layout, fuse, recording_from_arrays
 from pdavis_cv.fusion import Fusion
-from pdavis_cv.simulation.ideal import rotating_polarizer
 
 THETA = (0.15, 0.15)
 

@@ -1,9 +1,9 @@
 """The ideal camera before a rotating polarizer."""
 import numpy as np
 import pytest
+from ideal import rotating_polarizer
 
 from pdavis_cv import Layout
-from pdavis_cv.simulation import rotating_polarizer
 
 CHANNELS = np.deg2rad([0, 45, 90, 135])
 
@@ -101,12 +101,3 @@ def test_threshold_maps_act_per_pixel():
     np.add.at(counts, (events["y"], events["x"]), events["p"])
     assert counts[0, 0] == pytest.approx(counts[2, 2] / 2, abs=4)
     assert counts[0, 2] == counts[2, 2]
-
-
-@pytest.mark.parametrize(("name", "value"), [
-    ("seconds", 0), ("dn", -1), ("fps", 0), ("exposure_us", 60_000),
-    ("readout_us", -1), ("dolp", 1.5), ("extinction_ratio", 1.0),
-    ("extinction_ratio", np.inf), ("theta", (0.15, 0))])
-def test_impossible_parameters_are_refused_by_name_and_value(name, value):
-    with pytest.raises(ValueError, match=f"^{name} must"):
-        rotating_polarizer(100.0, **{name: value})

@@ -4,12 +4,13 @@ test_increments.py compares it with its plain version.
 """
 import numpy as np
 import pytest
+from ideal import rotating_polarizer
 from streams import feed, random_events
 
 from pdavis_cv import EVENT_DTYPE, ApsFrame, Calibration, KalmanFilter, fuse
 from pdavis_cv.analysis import Scorer
 from pdavis_cv.pixel.learn import Priors, prior_model
-from pdavis_cv.simulation import Camera, FlatLight, RotatingPolarizer, ideal
+from pdavis_cv.simulation import Camera, FlatLight, RotatingPolarizer
 
 MODES = ("causal", "buffered", "offline")
 
@@ -20,7 +21,7 @@ def make(shape=(3, 4), on=0.2, off=0.25, **options):
 
 def test_thresholds_are_learned_from_frames():
     on, off = 0.12, 0.21
-    recording, _ = ideal.rotating_polarizer(
+    recording, _ = rotating_polarizer(
         60 * 1.013, 4.0, size=(4, 4), theta=(on, off))
     start = {"on": np.full((4, 4), 0.16), "off": np.full((4, 4), 0.18)}
     start["on"][:, ::2] *= 1.1

@@ -10,7 +10,6 @@ import pdavis_cv
 from pdavis_cv.data import example_recording
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.simulation import Camera, RotatingPolarizer
-from pdavis_cv.simulation.ideal import rotating_polarizer
 from pdavis_cv.tools import _common
 from pdavis_cv.tools._common import command
 from pdavis_cv.tools.main import main
@@ -118,14 +117,8 @@ def test_an_output_that_cannot_be_written_is_one_line(stdout):
 
 
 def test_simulations_say_what_memory_they_would_take():
-    with pytest.raises(ValueError, match=r"within 4 GiB, got 1000000000000.0, .* GiB"):
-        rotating_polarizer(1e12)
-    with pytest.raises(ValueError, match="rpm and seconds"):
-        rotating_polarizer(60, 1e9)
-    with pytest.raises(ValueError, match="rpm must be finite"):
-        rotating_polarizer(np.inf)
     camera = Camera.preset("nominal", size=(12, 12))
-    with pytest.raises(ValueError, match="step_us must leave"):
+    with pytest.raises(ValueError, match=r"step_us must leave .* within 4 GiB, got"):
         camera.stream(RotatingPolarizer(rpm=1), 1.0, step_us=1e-6)
     with pytest.raises(ValueError, match=r"seconds must leave the frames; stream\(\)"):
         camera.record(RotatingPolarizer(rpm=1), 1e9)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ideal import rotating_polarizer
 
 from pdavis_cv import (
     METHODS,
@@ -22,7 +23,6 @@ from pdavis_cv import (
 from pdavis_cv.reconstruct.base import nbytes
 from pdavis_cv.reconstruct.methods import make_reconstructor
 from pdavis_cv.sensor import Layout
-from pdavis_cv.simulation.ideal import rotating_polarizer
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -6,6 +6,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 import reference_network as reference
+from ideal import rotating_polarizer
 from streams import random_events
 
 import pdavis_cv
@@ -24,7 +25,6 @@ from pdavis_cv.reconstruct.firenet import FireNet, Joint, response_table
 from pdavis_cv.reconstruct.onnx import network_onnx
 from pdavis_cv.reconstruct.runner import BACKENDS, chosen_backend, make_runner
 from pdavis_cv.reconstruct.weights import Weights
-from pdavis_cv.simulation.ideal import rotating_polarizer
 
 NETWORKS = ("firenet", "joint")
 METHODS = {"firenet": FireNet, "joint": Joint}

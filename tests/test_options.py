@@ -7,6 +7,7 @@ import typing
 
 import numpy as np
 import pytest
+from ideal import rotating_polarizer
 
 import pdavis_cv
 from pdavis_cv import Calibration, FusionOptions, Layout, VideoCapture, fuse
@@ -16,7 +17,6 @@ from pdavis_cv.fusion.options import AllKeywords, FusionKeywords
 from pdavis_cv.live import Session
 from pdavis_cv.reconstruct.methods import MethodKeywords, method_parameters
 from pdavis_cv.recording.options import SourceKeywords, SourceOptions
-from pdavis_cv.simulation.ideal import rotating_polarizer
 from pdavis_cv.tools import _flags, _options, export, fan
 
 OPTIONS = sorted(FusionOptions.facts())

@@ -4,8 +4,6 @@ import pytest
 from pdavis_cv.analysis import (
     Scorer,
     axial_difference,
-    events_by_phase,
-    pixel_intervals,
 )
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.polarimetry import PolarFrame
@@ -125,17 +123,3 @@ def test_an_image_of_another_shape_is_refused():
 
 def stream(rows):
     return np.array(rows, EVENT_DTYPE)
-
-
-def test_intervals_are_those_of_each_pixel():
-    events = stream([(0, 1, 0, 1), (5, 0, 1, 0), (7, 1, 0, 0), (9, 0, 1, 1),
-                     (30, 1, 0, 1)])
-    assert pixel_intervals(events, 2).tolist() == [7, 23, 4]
-    assert pixel_intervals(events[:0], 2).size == 0
-
-
-def test_events_are_counted_by_phase_and_polarity():
-    events = stream([(0, 0, 0, 1), (104, 0, 0, 1), (60, 0, 0, 0), (199, 0, 0, 0)])
-    assert events_by_phase(events, 100.0, 4).tolist() == [[0, 0, 1, 1], [2, 0, 0, 0]]
-    with pytest.raises(ValueError, match="must be positive"):
-        events_by_phase(events, 0.0)

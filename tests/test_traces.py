@@ -1,6 +1,7 @@
 """Traces of regions, and their standard errors."""
 import numpy as np
 import pytest
+from ideal import rotating_polarizer
 
 from pdavis_cv import PolarFrame, demosaic
 from pdavis_cv.analysis import (
@@ -13,7 +14,6 @@ from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.mosaic import DEMOSAIC_METHODS, HALF_SIZE
 from pdavis_cv.recording.memory import recording_from_arrays
 from pdavis_cv.sensor import Layout
-from pdavis_cv.simulation import rotating_polarizer
 
 
 def light(s0, dolp, aop, shape=(8, 10)):

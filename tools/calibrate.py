@@ -8,15 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pdavis_cv import Calibration, Layout, Recording, fuse
+from pdavis_cv import Calibration, Layout, Recording
 from pdavis_cv.aps import clip_level
 from pdavis_cv.batch.works import measured_parts
-from pdavis_cv.calibration.align import alignment
 from pdavis_cv.calibration.check import check_recording
 from pdavis_cv.calibration.frames import dark_frame, flat_frame, frames_of
-from pdavis_cv.calibration.instrument import background
 from pdavis_cv.calibration.layout import detect_layout
 from pdavis_cv.calibration.sweep import SweepFit, fit_sweep, read_sweep, steps_in_time
 from pdavis_cv.fusion.learning import learned_camera
@@ -48,8 +45,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     if args.part == "check":
         return _check(args)
-    if args.part == "align":
-        return _align(args)
     parts = _ALL if args.part == "all" else (args.part,)
     path = Path(args.out)
     checked_out(path)
@@ -299,27 +294,10 @@ def _thresholds(
     return measured_parts(found), page
 
 
-def _background(
-    recordings: list[Recording], args: argparse.Namespace, known: Calibration
-) -> Found:
-    layout = args.layout or known.layout
-    found = background(fuse(
-        recordings[0], method="frames", hold="mid", layout=layout,
-        calibration=known.replace(layout=layout)))
-    page = Page("Instrument polarization")
-    page.say("images", found.frames)
-    page.say("DoLP without sample", f"{found.dolp:.4f} +- {found.dolp_sigma:.4f}")
-    page.say("AoP", f"{np.rad2deg(found.aop):.2f} deg")
-    page.say("circular purity", f"at most {found.circular_purity:.4f}")
-    page.image("DoLP", np.hypot(found.stokes[..., 1], found.stokes[..., 2]))
-    page.histogram("S1 / S0", found.stokes[..., 1])
-    return {"background": found.stokes}, page
-
-
 _PARTS: dict[str, Callable[
     [list[Recording], argparse.Namespace, Calibration], Found]] = {
         "dark": _dark, "flat": _flat, "clip": _clip, "layout": _layout,
-        "sweep": _sweep, "thresholds": _thresholds, "background": _background}
+        "sweep": _sweep, "thresholds": _thresholds}
 _ALL = tuple(_PARTS)
 
 
@@ -330,26 +308,6 @@ def _check(args: argparse.Namespace) -> int:
     tell(args, [f"  {finding.what:<12} {words[finding.ok]:<8} {finding.message}"
                 for finding in findings], findings=[asdict(one) for one in findings])
     return 0 if all(finding.ok is not False for finding in findings) else 1
-
-
-def _align(args: argparse.Namespace) -> int:
-    rows = []
-    with opened(args, together(args.files)) as recording, for_people(args):
-        layout = resolve_layout(args.layout, None, recording.info.layout)
-        known: NDArray[np.float32] | None = None
-        if args.calibration:
-            known = Calibration.load(args.calibration).dark
-        print("  time (s)   mean 0/45/90/135 (DN)      SD 0/45/90/135 (DN)     "
-              "0/90  45/135")
-        origin = start_of(recording)
-        for row in alignment(recording, layout, dark=known, roi=args.roi):
-            mean = " ".join(f"{value:6.1f}" for value in row.mean_dn)
-            sd = " ".join(f"{value:5.1f}" for value in row.sd_dn)
-            print(f"  {(row.t_us - origin) / 1e6:8.3f}   {mean}   {sd}   "
-                  f"{row.ratio[0]:6.2f}  {row.ratio[1]:6.2f}", flush=True)
-            rows.append(row._asdict())
-    tell(args, (), start_us=origin, frames=rows)
-    return 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -368,10 +326,8 @@ def _parser() -> argparse.ArgumentParser:
                  "turned in steps",
         "thresholds": "contrast thresholds and bandwidth, from a slowly turning "
                       "polarizer",
-        "background": "polarization of the instrument, without a sample",
         "all": "every part that a set of recordings allows",
-        "check": "whether layout and orientation are plausible (exit code 1: no)",
-        "align": "mean, SD and extinction ratio of neighbours, frame by frame"}
+        "check": "whether layout and orientation are plausible (exit code 1: no)"}
     for part, text in texts.items():
         one = parts.add_parser(
             part, help=text, description=text[0].upper() + text[1:] + ".",
@@ -394,11 +350,9 @@ _EXAMPLES = {
     "sweep": "pdavis calibrate sweep steps.aedat4 -o camera.npz --step-deg 5 "
              "--hold-s 2",
     "thresholds": "pdavis calibrate thresholds slow.aedat4 -o camera.npz",
-    "background": "pdavis calibrate background empty.aedat4 -o camera.npz",
     "all": "pdavis calibrate all --dark covered.aedat4 --sweep steps.aedat4 "
            "-o camera.npz",
     "check": "pdavis calibrate check recording.aedat4",
-    "align": "pdavis calibrate align turning.aedat4 --roi 100,80,64,64",
 }
 
 
@@ -414,10 +368,7 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
     add_source_options(parser)
     parser.add_argument("--roi", type=roi_option, metavar="X,Y,W,H",
                         help="lit part of the sensor, in pixels")
-    if part == "align":
-        parser.add_argument(
-            "--calibration", metavar="NPZ", help="subtract its dark frame")
-    if part in ("check", "align"):
+    if part == "check":
         return
     parser.add_argument(
         "-o", "--out", required=True, metavar="NPZ",

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.calibration.align import alignment
 from pdavis_cv.calibration.sweep import fit_sweep, read_sweep
 from pdavis_cv.recording.base import ApsFrame
-from pdavis_cv.sensor import CHANNELS
+from pdavis_cv.sensor import CHANNELS, Layout
 from pdavis_cv.simulation import FULL, PRESETS, Camera, FlatLight, Optics
 
 from .page import table
@@ -168,12 +167,19 @@ def _by_alignment(camera: Camera, shift: float) -> Iterator[Point]:
         recording, _ = camera.record(
             FlatLight(dolp=1.0, aop=float(angle)), _SECONDS, run=run)
         frames += [frame for p in recording.packets() for frame in p.frames]
-    ratios = np.array([row.ratio for row in alignment(
-        frames, camera.layout, dark=dark)])
+    ratios = np.array([_pair_ratios(frame.dn - dark, camera.layout)
+                       for frame in frames])
     ratio = camera.optics.extinction_ratio
     true = expected_ratio((ratio - 1) / (ratio + 1), shift)
     for pair, found in zip(("0/90", "45/135"), ratios.max(0), strict=True):
         yield Point("shift", "PDAVIS", shift, pair, float(found), true)
+
+
+def _pair_ratios(dn: NDArray[np.float32], layout: Layout) -> list[float]:
+    """Return the brighter over the darker sum of the 0/90 and of the 45/135 pixels."""
+    sums = [float(dn[place // 2::2, place % 2::2].sum(dtype=np.float64))
+            for place in layout.places]
+    return [max(pair) / max(min(pair), 1e-9) for pair in (sums[::2], sums[1::2])]
 
 
 _TITLES = (("wavelength", "PDAVIS", "nm, PDAVIS"), ("wavelength", "sony", "nm, Sony"),

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv import open_recording
-from pdavis_cv.analysis.rotation import RotationFit, fit_rotation
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.errors import PdavisError
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, Recording
@@ -20,6 +19,7 @@ from pdavis_cv.simulation import RotatingPolarizer, Scene
 from pdavis_cv.tools._common import UsageError
 
 from .page import table
+from .rotation_fit import RotationFit, fit_rotation
 from .run import SETTLE_US, TAIL_US, Case, Take
 
 # A region of 12x12 pixels, as the paper's.

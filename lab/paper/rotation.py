@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.analysis.intervals import events_by_phase, pixel_intervals
 from pdavis_cv.fusion import fuse
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.denoise import EventDenoiser
@@ -21,6 +20,7 @@ from pdavis_cv.simulation import (
 )
 
 from .bound import Limits, limits
+from .intervals import events_by_phase, pixel_intervals
 from .run import (
     METHODS,
     OFF_LOCK,

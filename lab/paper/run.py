@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.analysis.intervals import pixel_intervals
 from pdavis_cv.analysis.score import KnownLight, Score, Scorer
 from pdavis_cv.fusion import fuse
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.simulation import FULL, PRESETS, Camera, Scene
 from pdavis_cv.tools._images import warn_of_nothing
+
+from .intervals import pixel_intervals
 
 # Held until the first frames and a slow high-pass have settled.
 SETTLE_US = 1_000_000

@@ -1,11 +1,11 @@
 """Figure 2 from recordings of the user."""
 import numpy as np
+from ideal import rotating_polarizer
 
 import pdavis_cv
 from lab.paper.recording import fit_files
 from pdavis_cv import Calibration, Layout
 from pdavis_cv.fusion.engine import Fusion
-from pdavis_cv.simulation.ideal import rotating_polarizer
 
 
 def test_a_calibration_is_cropped_with_the_recording_it_is_scored_on(tmp_path):

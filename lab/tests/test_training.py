@@ -7,6 +7,7 @@ import pytest
 pytest.importorskip("torch")
 
 import torch
+from ideal import pixel_events
 
 from lab.training.__main__ import main
 from lab.training.clips import UNIT, Clips
@@ -15,7 +16,6 @@ from lab.training.trainer import Recipe, Trainer
 from pdavis_cv import EVENT_DTYPE
 from pdavis_cv.reconstruct.firenet import Joint
 from pdavis_cv.reconstruct.weights import Weights
-from pdavis_cv.simulation.ideal import pixel_events
 
 TINY = {"batch": 2, "side": 8, "windows": 4}
 

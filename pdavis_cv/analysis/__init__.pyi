@@ -22,10 +22,6 @@ from .harmonics import (
     of_dolp as of_dolp,
     specimen_errors as specimen_errors,
 )
-from .intervals import (
-    events_by_phase as events_by_phase,
-    pixel_intervals as pixel_intervals,
-)
 from .left_out import (
     CLASSES as CLASSES,
     HALVES as HALVES,
@@ -51,10 +47,6 @@ from .roi import (
     Roi as Roi,
     parse_roi as parse_roi,
     read_rois as read_rois,
-)
-from .rotation import (
-    RotationFit as RotationFit,
-    fit_rotation as fit_rotation,
 )
 from .score import (
     KnownLight as KnownLight,

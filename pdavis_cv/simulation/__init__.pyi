@@ -13,7 +13,6 @@ from .elements import (
 )
 from .examples import example_truth as example_truth
 from .faults import Faults as Faults
-from .ideal import rotating_polarizer as rotating_polarizer
 from .lens import Lens as Lens
 from .named import (
     SCENES as SCENES,

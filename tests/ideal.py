@@ -9,16 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv._checks import MOST_ANGLE, plain, sensor_shape, whole_number
-from pdavis_cv.events import EVENT_DTYPE, FAR
+from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.recording.memory import recording_from_arrays
 from pdavis_cv.sensor import PDAVIS_EXTINCTION_RATIO, Layout
-from pdavis_cv.simulation.checks import affordable
 from pdavis_cv.simulation.scenes import FloatArray, RotatingPolarizer
 from pdavis_cv.simulation.truth import Truth
-
-__all__ = ["rotating_polarizer"]
 
 
 def rotating_polarizer(
@@ -70,36 +66,9 @@ def rotating_polarizer(
         Float DN without quantisation; event times rounded to 1 us.
     truth : Truth
         The light in front of the camera.
-
-    Raises
-    ------
-    ValueError
-        If a parameter is impossible; the message names it.
     """
-    size = sensor_shape(size, "size")
-    rpm, seconds, dn, fps, dolp, extinction_ratio = map(
-        plain, (rpm, seconds, dn, fps, dolp, extinction_ratio))
-    start_angle = float(start_angle)
-    _require("start_angle", start_angle, abs(start_angle) <= MOST_ANGLE,
-             f"must lie within {MOST_ANGLE:g} of 0")
-    exposure_us = whole_number("exposure_us", exposure_us, 1, FAR)
-    readout_us = whole_number("readout_us", readout_us, 0, FAR)
-    _require("seconds", seconds, 0 < seconds * 1e6 < FAR, "must be positive")
-    _require("dn", dn, dn > 0, "must be positive")
-    _require("fps", fps, fps > 0, "must be positive")
-    _require("exposure_us", exposure_us, exposure_us * fps <= 1e6,
-             "must be at most the frame interval")
-    _require("dolp", dolp, 0 <= dolp <= 1, "must lie in 0..1")
-    _require("extinction_ratio", extinction_ratio, 1 < extinction_ratio < np.inf,
-             "must be finite and above 1 (log intensity would be unbounded)")
     on, off = (np.broadcast_to(np.asarray(th, np.float64), size) for th in theta)
-    _require("theta", theta, bool(np.all(on > 0) and np.all(off > 0)),
-             "must be positive")
-    _require("rpm", rpm, bool(np.isfinite(rpm)), "must be finite")
     contrast = (extinction_ratio - 1) / (extinction_ratio + 1)
-    affordable("the recording", _size(
-        rpm, seconds, size, min(float(on.min()), float(off.min())), contrast * dolp,
-        fps), rpm=rpm, seconds=seconds, size=size, theta=theta, fps=fps)
     s0 = 2 * dn / (exposure_us / 1000) / (1 + contrast)
     scene = RotatingPolarizer(rpm=rpm, s0=s0, start_angle=start_angle, dolp=dolp)
     height, width = size
@@ -112,26 +81,6 @@ def rotating_polarizer(
     recording = recording_from_arrays(
         events, frames, sensor_size=size, layout=layout)
     return recording, Truth(scene, size)
-
-
-_EVENT_BYTES = 3 * EVENT_DTYPE.itemsize
-"""Bytes per event while events are sorted: three copies are held at once."""
-
-
-def _size(rpm: float, seconds: float, size: tuple[int, int], theta: float, k: float,
-          fps: float) -> float:
-    """Estimate the memory of a recording in bytes."""
-    pixels = float(size[0]) * size[1]
-    turns = abs(rpm) / 60 * seconds
-    # The log intensity crosses its range four times per turn.
-    range_ln = np.log1p(k) - np.log1p(-k)
-    return float(pixels * (4 * turns * (1 + range_ln / theta) * _EVENT_BYTES
-                           + seconds * fps * np.dtype(np.float32).itemsize))
-
-
-def _require(name: str, value: object, holds: bool, rule: str) -> None:
-    if not holds:
-        raise ValueError(f"{name} {rule}, got {value!r}")
 
 
 def _events(

@@ -3,8 +3,9 @@ import pytest
 from streams import random_events
 
 import pdavis_cv
+from lab.paper.rotation_fit import RotationFit, fit_rotation
 from pdavis_cv import fuse
-from pdavis_cv.analysis import RotationFit, axial_difference, fit_rotation
+from pdavis_cv.analysis import axial_difference
 from pdavis_cv.simulation import Camera, FlatLight, RotatingPolarizer
 
 

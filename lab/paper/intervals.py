@@ -4,13 +4,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv._checks import positive, whole_number
 from pdavis_cv._types import Events
-from pdavis_cv.events import timed_events
 
 __all__ = ["events_by_phase", "pixel_intervals"]
-
-_MOST_BINS = 65_536     # a choice
 
 
 def pixel_intervals(events: Events, width: int) -> NDArray[np.int64]:
@@ -53,14 +49,7 @@ def events_by_phase(
     -------
     ndarray of int64, shape (2, bins)
         Row 0 is OFF, row 1 is ON.
-
-    Raises
-    ------
-    ValueError
-        If the period or the number of bins is not positive.
     """
-    events, period_us = timed_events(events), positive("period_us", period_us)
-    bins = whole_number("bins", bins, 1, _MOST_BINS)
     part = np.floor(events["t"] % period_us / period_us * bins).astype(np.int64)
     part = np.minimum(part, bins - 1)  # rounding may give a phase of one period
     return np.bincount(
