@@ -46,7 +46,7 @@ cdef extern from *:
                                    known to 0.25 thresholds, an event's to 0.04 */
     #define ROW_FLOOR 0.02f     /* least error of an event's row, thresholds */
     #define MOST_ROWS 1024.0f   /* rows of the lasting sums, which then stay */
-    #define RATIO 16            /* of the time constants of `rest` and of q */
+    #define RATIO 2             /* of the time constants of `rest` and of q */
     #define OUTLIER 0.25f       /* residual that halves a row's weight, thresholds */
     #define LEAST_LEARNT 8.0f   /* rows of a pixel whose thresholds are learned */
     #define STILL 0.08f         /* most error of a row where only the analyser turns */
@@ -173,13 +173,11 @@ cdef inline void keep(cell_t* cell, float g, float h, float y, float rest,
 cdef inline void take(cell_t* cell, double t, float c, float s, bint up, double rate,
                       float per_tau, float share) noexcept nogil:
     """Add the rows of an event that has a predecessor."""
-    cdef float dt = <float>(t - cell.t), slow = exp_f(dt * per_tau), fast = slow * slow
+    cdef float dt = <float>(t - cell.t), slow = exp_f(dt * per_tau)
+    cdef float fast = slow * slow       # to the power RATIO
     cdef float sign = 1 if up else -1
     cdef float root = cell.on if up else cell.off, inverse = 1 / root
-    cdef float ridge, q1, q2, here, before, g, h, y, cm, sm, rest, e
-    fast *= fast
-    fast *= fast
-    fast *= fast        # slow to the power RATIO
+    cdef float ridge, q1, q2, here, before, g, h, y, cm, sm, rest, step, e
     fade(cell, fast if fast > FEW else FEW)
     ridge = root - inverse      # about the threshold
     y = sign * ridge
@@ -206,12 +204,13 @@ cdef inline void take(cell_t* cell, double t, float c, float s, bint up, double 
     g = (c * inverse - cell.c * root) * e
     h = (s * inverse - cell.s * root) * e
     rest = y
+    step = y if up else -y
     y *= e
     add(cell, g, h, y, 1, 1)
     e = y - g * q1 - h * q2
     cell.s1 += g * e
     cell.s2 += h * e
-    cell.rest = cell.rest * slow + e
+    cell.rest = cell.rest * slow + max(min(e, 2 * step), -2 * step)
     if cell.n1 + cell.n0 < MOST_ROWS:
         keep(cell, g, h, y, e / (OUTLIER * rest), up)
 
@@ -434,9 +433,6 @@ def turning_read(const cell_t[:, ::1] cells not None, double t, float tau,
                 age = age if age > 0 else 0
                 slow = exp_f(-age / (RATIO * tau))
                 gone = slow * slow
-                gone *= gone
-                gone *= gone
-                gone *= gone
                 n = cell.n * gone
                 ratio = n / (2 * n - 1) if n > 1 else 1
                 a11 = cell.a11 * gone

@@ -134,6 +134,7 @@ from .stokes_vector import (
     dolp as dolp,
     stokes as stokes,
 )
+from .turning import TurningAnalyser as TurningAnalyser
 from .viewer.server import (
     serve as serve,
     view as view,

@@ -134,11 +134,13 @@ class PolarFrame(Advises):
         quality: NDArray[np.float32] | None = None,
         reconciled: bool = False,
         aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None,
+        sigmas: NDArray[np.float32] | None = None,
     ) -> Self:
         """Make a PolarFrame that takes ownership of the arrays without copying them.
 
         The parameters are those of the class, and angle and degree if they are known
-        already.  ``quad``, ``variance`` and ``quality`` must be C-contiguous float32,
+        already, and errors: of AoP, of DoLP, and of (S1, S2)/S0 across its direction.
+        ``quad``, ``variance`` and ``quality`` must be C-contiguous float32,
         ``valid`` C-contiguous bool.  They become read-only, and no other code may keep
         references to their memory.
         """
@@ -156,6 +158,8 @@ class PolarFrame(Advises):
                    provenance, quality=quality, reconciled=reconciled)
         if aop_dolp is not None:
             frame._aop_dolp = frozen(aop_dolp[0]), frozen(aop_dolp[1])
+        if sigmas is not None:
+            frame._sigmas = frozen(sigmas[0]), frozen(sigmas[1]), frozen(sigmas[2])
         return frame
 
     def retimed(
@@ -354,7 +358,7 @@ class PolarFrame(Advises):
         self,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]] | None:
         if self._variance is None:
-            return None
+            return self._sigmas
         if self._sigmas is None:
             analyser = self._analyser or Analyser.ideal(self.extinction_ratio)
             self._sigmas = propagated(
@@ -366,7 +370,7 @@ class PolarFrame(Advises):
         return _restored_frame, (
             self._quad, self._valid, self.t_us, self.frame_us, self.extinction_ratio,
             self._analyser, self._variance, self._provenance, self._quality,
-            self._reconciled)
+            self._reconciled), (None, {"_sigmas": self._sigmas})
 
     def __array__(
         self, dtype: DTypeLike | None = None, copy: bool | None = None

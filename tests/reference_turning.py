@@ -2,7 +2,7 @@
 import numpy as np
 
 GUESS, FLOOR, WIDE, OUTLIER, RATIO, DARKEST, FEW = (
-    0.0256, 0.02, 0.5, 0.25, 16, 0.02, 0.8)
+    0.0256, 0.02, 0.5, 0.25, 2, 0.02, 0.8)
 
 
 def phi(a):
@@ -52,7 +52,7 @@ class Pixel:
         self.add(g, y, 1, 1)
         error = y - g @ q
         self.s += g * error
-        self.rest = self.rest * slow + error
+        self.rest = self.rest * slow + np.clip(error, -2 * abs(step), 2 * abs(step))
         self.rows.append((*g, y, p, 1 / (1 + (error / (OUTLIER * step)) ** 2)))
 
     def thresholds(self, on, off, spread):

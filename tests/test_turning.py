@@ -7,10 +7,13 @@ import pytest
 import reference_turning as reference
 from turning_pixels import Still, errors, events_of, rms
 
+import pdavis_cv
 from pdavis_cv import _kernels
 from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.fusion.turning_speed import found_hz, found_segments
 from pdavis_cv.reconstruct.turning import TurningRegression
-from pdavis_cv.recording.base import ApsFrame
+from pdavis_cv.recording.base import TRIGGER_DTYPE, ApsFrame
+from pdavis_cv.tools.main import main
 from pdavis_cv.turning import PulseClock, TurningAnalyser
 
 
@@ -336,3 +339,147 @@ def test_bad_analysers_are_refused(values, match):
 def test_too_few_pulses_are_an_error():
     with pytest.raises(ValueError, match="two trigger pulses or more, got 1"):
         TurningAnalyser(triggers=1).segments([5])
+
+
+# ---- fuse() and the commands ---------------------------------------------------------
+
+
+def as_recording(scene, pulses_us=()):
+    """Return a scene as a recording of blocks of 16 pixels that see the same."""
+    events = np.repeat(scene.events, 2)
+    events["x"] = events["x"] * 16 + np.arange(len(events)) % 2
+    triggers = np.zeros(len(pulses_us), TRIGGER_DTYPE)
+    triggers["t"], triggers["type"] = pulses_us, 1
+    return pdavis_cv.recording_from_arrays(
+        events, sensor_size=(1, 16 * len(scene.on)), triggers=triggers)
+
+
+def last_image(recording, scene, **options):
+    image, = pdavis_cv.fuse(recording, times_us=[scene.stop_us - 40_000], **options)
+    return image, (image.aop[0, ::16] - scene.aop + np.pi / 2) % np.pi - np.pi / 2
+
+
+@pytest.fixture(scope="module")
+def few():
+    return Still(40, seconds=1.5, degree=(0.35, 0.95))
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_fuse_takes_a_stated_speed(few, causal):
+    image, angle = last_image(as_recording(few), few, causal=causal,
+                              analyser=TurningAnalyser(rpm=1200))
+    assert rms(np.rad2deg(angle)) < 1
+    assert rms(image.dolp[0, ::16] - few.dolp) < 0.04
+    assert image.valid[0, ::16].all()
+    assert not image.valid[0, 5::16].any()
+    assert image.sigma_aop is not None
+    assert (image.sigma_dolp[0, ::16] < 0.1).all()
+    assert "relative" in image.provenance["assumed"][0]
+    again = pickle.loads(pickle.dumps(image))
+    np.testing.assert_array_equal(again.sigma_aop, image.sigma_aop)
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_fuse_takes_pulses(few, causal):
+    pulses_us = 50_000 * np.arange(31)
+    recording = as_recording(few, np.delete(pulses_us, 12))
+    _, angle = last_image(recording, few, causal=causal,
+                          analyser=TurningAnalyser(triggers=1))
+    assert rms(np.rad2deg(angle)) < 1
+
+
+def test_fuse_finds_the_speed_up_to_the_zero(few):
+    image, angle = last_image(as_recording(few), few, analyser=TurningAnalyser())
+    zero = np.angle(np.exp(2j * angle).mean()) / 2
+    rest = (angle - zero + np.pi / 2) % np.pi - np.pi / 2
+    assert rms(np.rad2deg(rest)) < 1
+    assert "zero of its angle and its direction are unknown" in (
+        image.provenance["assumed"][0])
+
+
+def test_an_image_of_a_region_is_the_crop(few):
+    recording = as_recording(few)
+    whole, _ = last_image(recording, few, analyser=TurningAnalyser(rpm=1200))
+    part, = pdavis_cv.fuse(recording, times_us=[few.stop_us - 40_000], roi=(
+        32, 0, 64, 1), analyser=TurningAnalyser(rpm=1200, phase=0.0))
+    assert part.shape == (1, 64)
+    np.testing.assert_allclose(
+        part.dolp[0, ::16], whole.dolp[0, 32:96:16], atol=0.01)
+
+
+def test_a_grid_of_images_has_a_length(few):
+    images = pdavis_cv.fuse(as_recording(few), fps=10,
+                            analyser=TurningAnalyser(rpm=1200))
+    assert len(images) == len(list(images)) == 15
+
+
+@pytest.mark.parametrize(("options", "match"), [
+    ({"method": "cf"}, "excludes method"), ({"layout": "pdavis"}, "excludes layout"),
+    ({"causal": True}, "must state rpm or triggers")])
+def test_options_that_do_not_fit_are_named(few, options, match):
+    with pytest.raises(ValueError, match=match):
+        pdavis_cv.fuse(as_recording(few), analyser=TurningAnalyser(), **options)
+
+
+def test_the_analyser_must_be_one(few):
+    with pytest.raises(TypeError, match="must be a TurningAnalyser, got int"):
+        pdavis_cv.fuse(as_recording(few), analyser=3)
+
+
+def test_light_that_is_not_modulated_has_no_speed():
+    rng = np.random.default_rng(0)
+    events = np.zeros(20_000, EVENT_DTYPE)
+    events["t"] = np.sort(rng.integers(0, 1_500_000, len(events)))
+    events["x"], events["p"] = rng.integers(0, (320, 2), (len(events), 2)).T
+    recording = pdavis_cv.recording_from_arrays(events, sensor_size=(1, 320))
+    assert found_hz(recording) is None
+    with pytest.raises(ValueError, match="must show a modulation"):
+        found_segments(recording)
+
+
+@pytest.mark.parametrize(("hz", "drift", "ramp"), [
+    (5, 0.02, 0), (60, 0.02, 0), (20, -0.02, 0), (20, 0.02, 3)])
+def test_a_speed_is_found_and_followed(hz, drift, ramp):
+    _, (at, turns) = pulses(hz, 6, 1, drift, ramp)
+
+    class Drifting(Still):
+        def light(self, t):
+            angle = 2 * np.pi * np.interp(t * 1e6, at, turns)
+            return 1 + self.dolp * np.cos(2 * (angle - self.aop))
+
+    scene = Drifting(24, hz=hz, seconds=6, step=2e-4)
+    segments = found_segments(as_recording(scene))
+    times = np.linspace((ramp + 0.5) * 1e6, 5.9e6, 2000)
+    found, true = turned(segments, times), np.interp(times, at, turns)
+    assert np.ptp(found) == pytest.approx(np.ptp(true), rel=1e-4)
+    error = found - true
+    assert np.abs(error - np.median(error)).max() < 0.005
+
+
+@pytest.fixture(scope="module")
+def file(few, tmp_path_factory):
+    path = tmp_path_factory.mktemp("turning") / "turning.aedat4"
+    pdavis_cv.write_aedat4(path, as_recording(few, 50_000 * np.arange(31)))
+    return path
+
+
+@pytest.mark.parametrize("given", [
+    ["--analyser-rpm", "1200"], ["--trigger", "0"],
+    ["--analyser-rpm", "1200", "--trigger", "0", "--trigger-pulses", "1"],
+    ["--analyser-found"]])
+def test_export_takes_the_analyser(file, few, tmp_path, given):
+    out = tmp_path / "out.npy"
+    assert main(["export", str(file), "-o", str(out), "--quantities", "dolp", "--at",
+                 "1.4", *given]) == 0
+    assert rms(np.load(out)[0, 0, 0, ::16] - few.dolp) < 0.04
+
+
+def test_a_speed_that_cannot_be_is_one_line(file, tmp_path, capsys):
+    assert main(["export", str(file), "-o", str(tmp_path / "a.npy"),
+                 "--analyser-rpm", "0"]) == 2
+    assert "rpm must lie in" in capsys.readouterr().err
+
+
+def test_info_tells_a_modulation(file, capsys):
+    assert main(["info", str(file), "--scan"]) == 0
+    assert "modulated at 40.0" in capsys.readouterr().out

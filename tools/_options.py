@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import re
 from collections.abc import Sequence
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ._common import UsageError, require_samples, start_of
 from ._flags import WORDS, add_offered, fusion_options, offered, source_options
-from ._values import setting
+from ._values import number, setting, within
 
 if TYPE_CHECKING:  # `command` must handle an interrupt while NumPy is imported
     from pdavis_cv import Calibration, Recording, Source
@@ -134,6 +135,21 @@ def add_fuse_options(parser: argparse.ArgumentParser) -> None:
     add_offered(group, offered(fusion_options()))
     add_source_options(parser, ("layout",))
     group.add_argument(
+        "--analyser-rpm", type=number, metavar="RPM", help="a polarizer turns before "
+        "the camera, so many times a minute, negative = clockwise as displayed")
+    group.add_argument(
+        "--analyser-phase", type=number, default=0.0, metavar="DEG", help="its angle "
+        "at time 0 of the recording's clock, or at the first pulse; default 0")
+    group.add_argument(
+        "--trigger", type=within(0, 0), metavar="CHANNEL", help="the file's external "
+        "trigger, 0, pulses as it turns")
+    group.add_argument(
+        "--trigger-pulses", type=within(1, 4096), default=1, metavar="N",
+        help="pulses of the trigger per turn; default 1")
+    group.add_argument(
+        "--analyser-found", action="store_true", help="a polarizer turns before the "
+        "camera; find its speed from the events")
+    group.add_argument(
         "--set", action="append", default=[], type=setting, metavar="NAME=VALUE",
         dest="settings", help="a parameter of the method, e.g. cutoff_hz=1.6 "
                               "or mode=offline")
@@ -177,6 +193,14 @@ def fusion_given(args: argparse.Namespace) -> dict[str, Any]:
         elif facts.word in ("ratio", "offset") and value == "none":
             value = None
         options[name] = value
+    if args.analyser_found or (args.analyser_rpm, args.trigger) != (None, None):
+        from pdavis_cv import TurningAnalyser
+        try:
+            options["analyser"] = TurningAnalyser(
+                rpm=args.analyser_rpm, phase=math.radians(args.analyser_phase),
+                triggers=None if args.trigger is None else args.trigger_pulses)
+        except ValueError as error:
+            raise UsageError(str(error)) from None
     return {**options, **dict(args.settings)}
 
 

@@ -13,6 +13,7 @@ from pdavis_cv import Layout, Sensor
 from pdavis_cv.calibration.thresholds import thresholds_from_biases
 from pdavis_cv.export.files import plain
 from pdavis_cv.fusion.learning import learned_pixels
+from pdavis_cv.fusion.turning_speed import found_hz
 from pdavis_cv.recording.advice import Advice, advise
 from pdavis_cv.recording.base import Recording, RecordingInfo, Report
 from pdavis_cv.recording.facts import ASSUMED, FILE, Fact, assumptions
@@ -33,7 +34,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     with opened(args) as recording:
         report = recording.scan() if args.scan else None
-        advice = [*advise(recording), *_clock(recording)] if args.scan else []
+        advice = [*advise(recording), *_clock(recording), *_modulation(recording)
+                  ] if args.scan else []
         problems = recording.problems
         name = args.file if isinstance(args.file, str) else recording.name
         if args.json:
@@ -70,6 +72,16 @@ def _clock(recording: Recording) -> list[Advice]:
         f"{found.sigmas['shift'] / 1000:.1f} ms {'early' if us > 0 else 'late'} by the "
         "clock of the events",
         f"method kalman corrects them; for other methods use --clock-offset {us:.0f}")]
+
+
+def _modulation(recording: Recording) -> list[Advice]:
+    """Return advice if all the light of an ordinary event camera is modulated."""
+    info = recording.info
+    hz = None if info.layout is not None or info.event_count == 0 else (
+        found_hz(recording))
+    return [] if hz is None else [Advice(
+        "analyser", f"modulated at {hz:.2f} Hz: a turning analyser?",
+        f"--analyser-found, or --analyser-rpm {30 * hz:.4g}, makes images of it")]
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -95,6 +95,8 @@ class Fusion(Advises):
                 "recording must be a Recording (see open_recording) or a Source, got "
                 f"{type(recording).__name__}{how}")
         options = changed(FusionOptions, options, changes)
+        if options.analyser is not None:
+            raise ValueError("analyser is an option of fuse() and pdavis export")
         info = recording.info
         check_times_fit(options, info)
         if info.demosaic:

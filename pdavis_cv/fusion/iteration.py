@@ -8,10 +8,11 @@ from collections.abc import Iterator
 from typing import Any, Unpack, overload
 
 from pdavis_cv._advice import Advises
-from pdavis_cv._options import names_options
+from pdavis_cv._options import changed, names_options
 from pdavis_cv._workers import Begun
 from pdavis_cv.fusion.engine import Fusion
 from pdavis_cv.fusion.options import FusionKeywords, FusionOptions
+from pdavis_cv.fusion.turning import TurningFusion
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import Factory
 from pdavis_cv.recording.base import Recording, Source
@@ -31,20 +32,20 @@ LEAST_PIXELS = 1 << 16
 def fuse(
     recording: Source, options: FusionOptions | None = ...,
     **changes: Unpack[FusionKeywords],
-) -> Fusion | ReadAhead: ...
+) -> Fusion | ReadAhead | TurningFusion: ...
 
 
 @overload
 def fuse(
     recording: Source, options: FusionOptions | None = ..., *, method: Factory,
     **changes: Any,
-) -> Fusion | ReadAhead: ...
+) -> Fusion | ReadAhead | TurningFusion: ...
 
 
 @names_options(FusionOptions, rest="method_parameters")
 def fuse(
     recording: Source, options: FusionOptions | None = None, **changes: Any
-) -> Fusion | ReadAhead:
+) -> Fusion | ReadAhead | TurningFusion:
     """Fuse a recording's frames and events into polarization images.
 
     Reading begins when the first image is asked for.  Without `fps` and `times_us`
@@ -90,7 +91,10 @@ def fuse(
     >>> image.dolp.shape
     (30, 40)
     """
-    fusion = Fusion(recording, options, **changes)
+    given = changed(FusionOptions, options, changes)
+    if given.analyser is not None and isinstance(recording, Source):
+        return TurningFusion(recording, given)
+    fusion = Fusion(recording, given)
     # Without events an image is a frame that is held: there is nothing to share.
     ahead = (fusion.options.threads > 1 and isinstance(recording, Recording)
              and fusion.needs.events

@@ -27,6 +27,7 @@ from pdavis_cv.reconstruct.methods import METHODS, MethodKeywords, factory_of
 from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.recording.options import SourceKeywords, SourceOptions
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Layout
+from pdavis_cv.turning import TurningAnalyser
 
 __all__ = ["AllKeywords", "FusionKeywords", "FusionOptions", "check_times_fit",
            "fusion_part"]
@@ -93,6 +94,11 @@ class FusionOptions(Options):
         "layout",
         "polarizers of the 2x2 cell: pdavis, sony or four angles by row, "
         "e.g. 135,90,0,45")
+    analyser: TurningAnalyser | None = option(
+        None, "TurningAnalyser, optional",
+        "A polarizer that turns before an event camera without polarizers of its own; "
+        "parameters are then those of `TurningRegression`.  Excludes `method`, "
+        "`layout`, `calibration` and `denoise`.", None)
     calibration: Calibration | None = option(
         None, "Calibration, optional",
         "Calibration of this camera: dark frame, gain, thresholds, analyser matrix, "
@@ -170,6 +176,9 @@ class FusionOptions(Options):
             put(name, plain(getattr(self, name)))
         if self.layout is not None:
             put("layout", Layout.of(self.layout))
+        if not isinstance(self.analyser, TurningAnalyser | None):
+            raise TypeError("analyser must be a TurningAnalyser, got "
+                            f"{type(self.analyser).__name__}")
         if not isinstance(self.calibration, Calibration | None):
             raise TypeError(
                 "calibration must be a Calibration, as Calibration.load(path) gives, "
@@ -215,6 +224,7 @@ class FusionKeywords(MethodKeywords, total=False):
     start_us: int | None
     stop_us: int | None
     layout: Layout | str | None
+    analyser: TurningAnalyser | None
     calibration: Calibration | None
     extinction_ratio: float | str | None
     demosaic: str

@@ -132,6 +132,11 @@ class TurningRegression(Reconstructor):
             self._given, PulseClock) else self._given
 
     @property
+    def half_us(self) -> float:
+        """Median time of half a turn, us."""
+        return self._half_us
+
+    @property
     def parameters(self) -> Parameters:
         """Parameters that make an equal TurningRegression."""
         return {"theta_on": self._theta[0], "theta_off": self._theta[1],

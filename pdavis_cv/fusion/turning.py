@@ -1,0 +1,206 @@
+"""Images of a camera behind a turning analyser: without a mosaic, from events alone."""
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import pdavis_cv
+from pdavis_cv._advice import Advises
+from pdavis_cv._types import Facts, Parameters
+from pdavis_cv.calibration.thresholds import resolve_thresholds
+from pdavis_cv.fusion.feed import Feed
+from pdavis_cv.fusion.grid import grid_count, grid_us
+from pdavis_cv.fusion.options import FusionOptions
+from pdavis_cv.fusion.turning_speed import found_segments
+from pdavis_cv.fusion.window import Window, checked_roi
+from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.reconstruct.turning import TurningRegression
+from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
+from pdavis_cv.turning import PulseClock, TurningAnalyser
+
+__all__ = ["TurningFusion"]
+
+_EXCLUDED = "method", "layout", "calibration", "denoise"
+_PULSES = 1, 3      # types of triggers: rising edges, pulses
+_NOMINAL_SIGMA, _STATED_SIGMA = 0.5, 0.05
+"""Relative error of thresholds of a data sheet, and of those that the caller states."""
+_LEARN_HALF_TURNS, _LEARN_EVENTS = 128, 4_000_000
+"""Most of the beginning of a recording from which thresholds are learned."""
+
+
+class TurningFusion(Advises, Iterator[PolarFrame]):
+    """Iterate over the images that `fuse` makes with ``analyser=TurningAnalyser()``.
+
+    Parameters
+    ----------
+    recording : Source
+    options : FusionOptions
+        With `analyser`; parameters are those of `TurningRegression`.
+
+    Attributes
+    ----------
+    provenance : mapping of str to object
+        Software, options and parameters that make the images.
+    """
+
+    def __init__(self, recording: Source, options: FusionOptions) -> None:
+        default = FusionOptions()
+        for name in _EXCLUDED:
+            if getattr(options, name) not in (None, getattr(default, name)):
+                raise ValueError(f"analyser excludes {name}")
+        assert options.analyser is not None
+        self._recording, self._options = recording, options
+        self._analyser: TurningAnalyser = options.analyser
+        self._passes = options.causal or not isinstance(recording, Recording)
+        if self._analyser.found and self._passes:
+            raise ValueError(
+                "analyser must state rpm or triggers where a stream passes once or "
+                "causal is set: its speed is found from all events")
+        size = recording.info.sensor_size
+        x, y, w, h = checked_roi(options.roi, size, "bilinear")
+        self._window = Window(slice(y, y + h), slice(x, x + w), size)
+        self.shape = h, w
+        self._index = 0
+        self._method: TurningRegression | None = None
+        self._frame_us: int | None = None
+        ratio = options.extinction_ratio
+        self._ratio = None if isinstance(ratio, str) or ratio is None else float(ratio)
+        zero = ("; the zero of its angle and its direction are unknown"
+                if self._analyser.found else "")
+        s0 = () if recording.info.frame_count else (
+            "S0 is relative to its recent mean, as events tell changes only",)
+        self.provenance: Facts = MappingProxyType({
+            "pdavis_cv": pdavis_cv.__version__, "method": TurningRegression.method,
+            "parameters": dict(options.parameters), "causal": options.causal,
+            "analyser": repr(self._analyser), "extinction_ratio": self._ratio,
+            "roi": (x, y, w, h),
+            "source": str(recording.path) if recording.path else recording.info.format,
+            "assumed": [f"speed of the analyser: found from events{zero}"] * bool(zero)
+            + list(s0)})
+
+    def __next__(self) -> PolarFrame:
+        if self._method is None:
+            self._begin()
+        assert self._method is not None
+        t = self._next_time()
+        if t is None:
+            raise StopIteration
+        self._index += 1
+        for item in self._feed.until(t + (self._method.lookahead_us or 0)):
+            self._add(self._method, item)
+        found = self._method.polarization(t)
+        return PolarFrame.adopt(
+            found.quad, valid=found.valid, t_us=t, frame_us=self._frame_us,
+            extinction_ratio=self._ratio, sigmas=found.sigmas,
+            provenance=self.provenance)
+
+    def __len__(self) -> int:
+        """Return the number of all images, if options and the file's header tell it."""
+        if self._options.times is not None:
+            return len(self._options.times)
+        start, stop = self._options.start_us, self._recording.info.stop_us
+        start = self._recording.info.start_us if start is None else start
+        if start is None or stop is None:
+            raise TypeError("TurningFusion has no length")
+        last = self._options.stop_us
+        stop = stop if last is None else min(stop, last)
+        return grid_count(stop - start, self._fps)
+
+    @property
+    def _fps(self) -> Fraction:
+        return self._options.rate or Fraction(100)
+
+    def close(self) -> None:
+        """Do nothing: no thread has to end."""
+
+    def _next_time(self) -> int | None:
+        times, stop = self._options.times, self._options.stop_us
+        if times is not None:
+            if self._index >= len(times):
+                return None
+            t = int(times[self._index])
+        elif self._start is None:
+            return None
+        else:
+            t = self._start + grid_us(self._index, self._fps)
+        late = stop is not None and t >= stop
+        return None if late or not self._feed.reaches(t) else t
+
+    def _begin(self) -> None:
+        """Find the angle, learn the thresholds, and open the stream."""
+        source, options = self._recording, self._options
+        packets = source.packets()
+        segments: NDArray[np.float64] | PulseClock
+        if self._analyser.found:
+            assert isinstance(source, Recording)
+            segments = found_segments(source, self._analyser.phase)
+        elif self._analyser.triggers is None:
+            segments = self._analyser.segments()
+        elif self._passes:
+            segments = PulseClock(self._analyser)
+            packets = _noting(packets, segments)
+        else:
+            segments = self._analyser.segments(
+                [t for packet in source.packets() for t in _pulses(packet).tolist()])
+        on, off = resolve_thresholds(
+            source, options.thresholds, options.nominal_thresholds, None)
+        known: dict[str, Any] = {
+            "segments": segments, "threshold_sigma": _NOMINAL_SIGMA
+            if options.thresholds is None or isinstance(options.thresholds, str)
+            else _STATED_SIGMA, "centred": not self._passes, **options.parameters}
+        if not self._passes and known.get("learn", True):
+            on, off, known["threshold_sigma"] = self._learned(on, off, known)
+        self._feed = self._opened(packets)
+        first = self._feed.first_us()
+        self._start = first if options.start_us is None else options.start_us
+        plane = self._window.plane
+        self._method = TurningRegression(
+            self.shape, theta_on=plane(on), theta_off=plane(off), **known)
+
+    def _opened(self, packets: Iterator[Packet]) -> Feed:
+        info = self._recording.info
+        return Feed(packets, by_arrival=self._options.causal,
+                    has_frames=info.frame_count != 0, stop_us=info.stop_us)
+
+    def _learned(self, on: Any, off: Any, known: Parameters) -> tuple[Any, Any, float]:
+        """Return the thresholds that the beginning shows, and their common error."""
+        method = TurningRegression(
+            self._recording.info.sensor_size, theta_on=on, theta_off=off, **known)
+        feed, stop, count = self._opened(self._recording.packets()), None, 0
+        for item in feed.until(None):
+            if isinstance(item, ApsFrame) or not len(item):
+                continue
+            if stop is None:
+                stop = int(item["t"][0]) + _LEARN_HALF_TURNS * method.half_us
+            method.add_events(item)
+            count += len(item)
+            if item["t"][-1] > stop or count > _LEARN_EVENTS:
+                break
+        return *method.thresholds, method.common_sigma
+
+    def _add(self, method: TurningRegression, item: Any) -> None:
+        if not isinstance(item, ApsFrame):
+            inside = self._window.events(item)
+            if len(inside):
+                method.add_events(inside)
+        elif not self._options.causal:      # there it comes after events that follow it
+            self._frame_us = item.mid_us
+            method.add_frame(self._window.frame(item))
+
+
+def _pulses(packet: Packet) -> NDArray[np.int64]:
+    """Return the times of the external trigger's pulses."""
+    kinds = packet.triggers["type"]
+    return np.asarray(packet.triggers["t"][np.isin(kinds, _PULSES)], np.int64)
+
+
+def _noting(packets: Iterator[Packet], clock: PulseClock) -> Iterator[Packet]:
+    """Yield packets; their pulses are added to the clock before."""
+    for packet in packets:
+        clock.add(_pulses(packet))
+        yield packet

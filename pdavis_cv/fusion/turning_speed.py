@@ -1,0 +1,155 @@
+"""The speed of a turning analyser, found from the events of a recording."""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.recording.base import Recording
+
+__all__ = ["found_hz", "found_segments"]
+
+_LOWEST_HZ, _HIGHEST_HZ = 8.0, 130.0
+"""Of the modulation, which has two periods per turn."""
+_BLOCK = 16
+"""Side of the blocks of pixels whose events are counted together: polarization differs
+little within one, so that its ON and OFF events alternate."""
+_MOST_EVENTS = 4_000_000
+_WINDOW_S, _BIN_S = 1.0, 1e-3
+_CLEAR = 6.0
+"""Least height of the peak of a modulation above the median of the spectrum."""
+_CYCLES = 2
+"""Modulation periods after which the phase is measured again."""
+_GAIN, _DAMPING = 0.5, 0.15
+"""Parts of a phase error by which phase and rate follow it."""
+_KEPT = 0.9
+"""Part of the mean of past phases that remains when a new one is added to it."""
+
+
+def found_hz(recording: Recording) -> float | None:
+    """Return the frequency of a modulation of all the light, Hz, None if there is none.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of which the first second with events is read.
+    """
+    t, block, sign = _events(recording, _WINDOW_S)
+    return None if not len(t) else _strongest(t - t[0], block, sign)
+
+
+def found_segments(recording: Recording, phase: float = 0.0) -> NDArray[np.float64]:
+    """Return twice the angle of an analyser, as `TurningAnalyser.segments` does.
+
+    The frequency is that of the middle of the recording; from there the phase is
+    followed to both ends.
+
+    Parameters
+    ----------
+    recording : Recording
+    phase : float
+        Angle at the first event, radians.
+
+    Raises
+    ------
+    ValueError
+        If no modulation stands out.
+    """
+    t, block, sign = _events(recording)
+    middle = (t[0] + t[-1]) / 2 if len(t) else 0.0
+    near = np.abs(t - middle) < _WINDOW_S / 2
+    hz = _strongest(t[near] - middle + _WINDOW_S / 2, block[near], sign[near]) if (
+        near.any()) else None
+    if hz is None:
+        raise ValueError("recording must show a modulation of 8 to 130 Hz by a turning "
+                         "analyser; state its rpm, or triggers")
+    later = _followed(t - middle, block, sign, hz)
+    earlier = _followed(middle - t[::-1], block[::-1], sign[::-1], hz)
+    knots = np.array([(-at, -angle) for at, angle in earlier[:0:-1]] + later)
+    at, angle = (knots[:, 0] + middle) * 1e6, knots[:, 1]
+    rate = np.diff(angle) / np.diff(at)
+    begin = angle[0] + rate[0] * (t[0] * 1e6 - at[0])
+    return np.stack([at, angle - begin + 2 * phase, np.append(rate, rate[-1])], 1)
+
+
+def _events(
+    recording: Recording, seconds: float | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]]:
+    """Return times in s, block and sign of a bounded number of events."""
+    width = recording.info.sensor_size[1]
+    across = -(-width // _BLOCK)
+    parts, kept, step, start = [], 0, 1, None
+    for packet in recording.packets():
+        events = packet.events
+        if not len(events):
+            continue
+        start = int(events["t"][0]) if start is None else start
+        pixel = events["x"].astype(np.intp) + events["y"].astype(np.intp) * width
+        part = events[pixel * 7919 % 65_536 % step == 0]
+        parts.append(np.stack([
+            part["t"], part["y"] // _BLOCK * across + part["x"] // _BLOCK,
+            2 * part["p"].astype(np.int64) - 1]).astype(np.int64))
+        kept += len(part)
+        if kept > _MOST_EVENTS:     # keep the events of half of the pixels
+            step *= 2
+            parts, kept = [one[:, ::2] for one in parts], kept // 2
+        if seconds is not None and int(events["t"][-1]) - start > seconds * 1e6:
+            break
+    if not parts:
+        return np.empty(0), np.empty(0, np.intp), np.empty(0)
+    t, block, sign = np.concatenate(parts, 1)
+    return t / 1e6, block.astype(np.intp), sign.astype(np.float64)
+
+
+def _strongest(
+    t: NDArray[np.float64], block: NDArray[np.intp], sign: NDArray[np.float64]
+) -> float | None:
+    """Return the modulation frequency of most power, summed over blocks."""
+    _, which = np.unique(block, return_inverse=True)
+    count = np.bincount(which)
+    order = np.argsort(-count)[:256]
+    rank = np.full(len(count), -1)
+    rank[order] = np.arange(len(order))
+    bins = max(int(_WINDOW_S / _BIN_S), 1)
+    at = (t / _BIN_S).astype(np.intp)
+    good = (rank[which] >= 0) & (at >= 0) & (at < bins)
+    rates = np.bincount(rank[which][good] * bins + at[good], sign[good],
+                        len(order) * bins).reshape(len(order), bins)
+    size = 4 * bins
+    power = (np.abs(np.fft.rfft(rates * np.hanning(bins), size)) ** 2).sum(0)
+    hz = np.fft.rfftfreq(size, _BIN_S)
+    inside = (hz >= _LOWEST_HZ) & (hz <= _HIGHEST_HZ)
+    best = int(np.argmax(np.where(inside, power, 0)))
+    if not power[best] > _CLEAR * np.median(power[inside]):
+        return None
+    left, top, right = power[best - 1:best + 2]
+    bend = left - 2 * top + right
+    shift = (left - right) / (2 * bend) if bend else 0.0
+    return float(hz[best] + shift * (hz[1] - hz[0]))
+
+
+def _followed(
+    t: NDArray[np.float64], block: NDArray[np.intp], sign: NDArray[np.float64],
+    hz: float,
+) -> list[tuple[float, float]]:
+    """Follow the phase of the modulation from time 0 on; return times and phases."""
+    count = int(block.max()) + 1
+    template = np.zeros(count, np.complex128)
+    rate, phase, at = 2 * math.pi * hz, 0.0, 0.0
+    knots = [(0.0, 0.0)]
+    end = float(t[-1])
+    while at < end:
+        span = _CYCLES * 2 * math.pi / rate
+        first, last = np.searchsorted(t, (at, at + span))
+        angle = phase + rate * (t[first:last] - at)
+        wave = np.bincount(block[first:last], sign[first:last] * np.cos(angle), count
+                           ) - 1j * np.bincount(
+            block[first:last], sign[first:last] * np.sin(angle), count)
+        error = float(np.angle(np.vdot(template, wave))) if template.any() else 0.0
+        template = _KEPT * template + wave * np.exp(-1j * error)
+        middle = at + span / 2
+        knots.append((middle, phase + rate * span / 2 + error))
+        at, phase = at + span, phase + rate * span + _GAIN * error
+        rate = max(rate + _DAMPING * error / span, math.pi * _LOWEST_HZ / 4)
+    return knots
