@@ -12,10 +12,13 @@ from pdavis_cv.analysis import (
     fit_harmonics,
     fit_periodic,
     loop_area,
+    mosaic_errors,
     of_aop,
     of_dolp,
     specimen_errors,
 )
+from pdavis_cv.mosaic import demosaic
+from pdavis_cv.sensor import Layout
 from pdavis_cv.simulation import Camera, FlatLight, Tendon
 
 EPOCH = 1_700_000_000_000_000
@@ -273,10 +276,85 @@ def test_errors_of_the_polarizers_are_those_of_many_cameras():
 
     waves = [fit_harmonics(law, t, seen(), harmonics=1, degree=0,
                            exposure_us=EXPOSURE).wave(of_dolp) for _ in range(300)]
-    errors = specimen_errors(*spread, samples=samples)
-    stated = fit_harmonics(law, t, s, harmonics=1, degree=0,
-                           exposure_us=EXPOSURE).wave(of_dolp, errors)
+    fit = fit_harmonics(law, t, s, harmonics=1, degree=0, exposure_us=EXPOSURE)
+    stated = fit.wave(of_dolp, specimen_errors(fit, *spread, samples=samples))
     assert np.std([one.amplitude[0] for one in waves]) == pytest.approx(
         float(stated.amplitude_se), rel=0.2)
     assert np.std([one.mean for one in waves]) == pytest.approx(
         float(stated.mean_se), rel=0.2)
+
+
+def test_a_harmonic_that_frames_cannot_resolve_is_no_noise():
+    # Four frames a cycle show the second harmonic at two phases only.
+    t = times(20, 6)
+    law = PhaseLaw.steady(5.0, EPOCH)
+
+    def stated(second):
+        turn = 2 * np.pi * law.cycles(t)
+        v = np.cos(turn) + second * np.cos(2 * turn)
+        v += np.random.default_rng(4).normal(0, 1e-3, len(t))
+        return fit_harmonics(law, t, v[:, None], harmonics=1, degree=1).wave()
+
+    assert stated(0.1).amplitude_se == pytest.approx(stated(0.0).amplitude_se, rel=1e-6)
+    assert stated(0.1).amplitude_se == pytest.approx(1e-3 * np.sqrt(2 / 120), rel=0.2)
+
+
+def test_a_second_harmonic_that_falls_on_the_fundamental_is_said():
+    def light(t):
+        return wave(10)(t) + 0.004 * np.cos(40 * np.pi * t + 2)
+
+    locked = fitted(light, 10.0, fps=30.0)
+    assert locked.regions[0].wave(of_dolp).amplitude[0] != pytest.approx(0.05, rel=0.01)
+    assert "cannot tell the second harmonic of 10 Hz" in locked.doubt
+    free = fitted(light, 10.0, fps=31.0)
+    assert not free.doubt
+    assert free.regions[0].wave(of_dolp).amplitude[0] == pytest.approx(0.05, rel=0.01)
+
+
+def demosaiced(stokes, layout):
+    """S0, S1, S2 of images (M, 3, H, W) seen through a mosaic of ideal polarizers."""
+    out = np.empty_like(stokes)
+    for seen, (s0, s1, s2) in zip(out, stokes, strict=True):
+        mosaic = np.empty(s0.shape, np.float32)
+        for y, x in np.ndindex(2, 2):
+            a = 2 * np.deg2rad(layout.angles_deg[y][x])
+            behind = (s0 + np.cos(a) * s1 + np.sin(a) * s2) / 2
+            mosaic[y::2, x::2] = behind[y::2, x::2]
+        i0, i45, i90, i135 = demosaic(mosaic, layout, "guided")
+        seen[:] = (i0 + i45 + i90 + i135) / 2, i0 - i90, i45 - i135
+    return out
+
+
+@pytest.mark.parametrize("layout", [Layout.PDAVIS, Layout.SONY])
+def test_errors_of_demosaicing_are_those_that_structure_makes(layout):
+    rng = np.random.default_rng(8)
+    y, x = np.mgrid[:44, :52].astype(float)
+    law, t = PhaseLaw.steady(1.0, 0), np.arange(16) * 62_500
+
+    def maps(images):
+        fit = HarmonicFit((44, 52), law, harmonics=3, degree=0, span_us=(0, 10**6))
+        for now, image in zip(t, images, strict=True):
+            fit.add(int(now), image)
+        return fit.result()
+
+    ratios = []
+    for _ in range(24):
+        scene = Tendon(hz=1.0, fibre_angle=rng.uniform(-1.5, 1.5),
+                       fibre_width=rng.uniform(5, 16))
+        light = np.array([np.stack(scene.stokes(now, x, y)) for now in t])
+        mask = np.zeros((44, 52), bool)
+        mask[12:32, 10:10 + rng.integers(12, 32)] = True
+        seen = demosaiced(light, layout)
+        errors = mosaic_errors(maps(seen), [mask], layout, "guided")[0]
+
+        def region(images, mask=mask):
+            return fit_harmonics(
+                law, t, images[:, :, mask].mean(2), harmonics=3, degree=0)
+
+        true, found = region(light).wave(of_dolp), region(seen).wave(of_dolp, errors)
+        ratios.append((found.amplitude[0] - true.amplitude[0]) / found.amplitude_se)
+    assert 0.3 < np.mean(np.abs(ratios) < 1) < 0.85
+    assert np.median(np.abs(ratios)) > 0.3
+
+    flat = np.broadcast_to(np.reshape((1, 0.2, 0.1), (3, 1, 1)), (16, 3, 44, 52))
+    assert np.abs(mosaic_errors(maps(flat), [mask], layout, "guided")[0]).max() < 1e-6

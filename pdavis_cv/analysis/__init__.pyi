@@ -18,6 +18,7 @@ from .harmonics import (
     Wave as Wave,
     fit_harmonics as fit_harmonics,
     loop_area as loop_area,
+    mosaic_errors as mosaic_errors,
     of_aop as of_aop,
     of_dolp as of_dolp,
     specimen_errors as specimen_errors,

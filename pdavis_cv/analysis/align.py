@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv.analysis.cycles import inflation
 from pdavis_cv.analysis.load import LoadTrace
 from pdavis_cv.errors import AnalysisWarning
 
@@ -367,8 +368,7 @@ def _refine(
     total = v - line @ np.linalg.lstsq(line, v, rcond=None)[0]
     energy = float(rest @ rest)
     explained = 1 - energy / max(float(total @ total), 1e-300)
-    r = min(max(float(rest[1:] @ rest[:-1]) / max(energy, 1e-300), 0.0), 0.99)
-    variance = energy / max(1, len(v) - 5) * (1 + r) / (1 - r)
+    variance = energy / max(1, len(v) - 5) * float(inflation(rest))
     matrix = jacobian(found.x)
     size = np.sqrt((matrix ** 2).sum(axis=0))
     # If samples are locked to the load's phase, the offset is undetermined.  A

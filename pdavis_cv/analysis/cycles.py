@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["LEAST_SEEN", "PhaseLaw", "design", "follow", "inflation", "resolved",
-           "slow_degree"]
+__all__ = ["LEAST_SEEN", "PhaseLaw", "design", "follow", "inflation", "noise_of",
+           "resolved", "slow_degree"]
 
 FloatArray = NDArray[np.float64]
 
@@ -20,6 +20,8 @@ frames hardly tell one from another."""
 LEAST_SEEN = 0.15
 """Least part of an amplitude that the exposure must leave.  A choice: a relative error
 of the exposure is some six times as large in the amplitude."""
+_SAME = 1e-3
+"""Singular value, relative to the largest, below which columns are the same."""
 _FIRST_CYCLES = 10
 _FIRST_FRAMES = 40
 """The phase is followed from the middle of the record, from at least so many cycles and
@@ -30,7 +32,7 @@ _UNSURE = 0.02
 _SEEN = 25.0
 """Chi square of a harmonic that is followed."""
 _BETTER = 12.0
-"""Reduction of chi square that a further term of the phase must bring."""
+"""Reduction of chi square that each further term of the phase must bring."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,13 +116,14 @@ class PhaseLaw:
         return float(np.sqrt(max(variance, 0.0)))
 
 
-def inflation(residual: FloatArray) -> float:
-    """Return the variance inflation by correlated residuals, (1 + r) / (1 - r)."""
-    energy = float(residual @ residual)
-    if energy <= 0:
-        return 1.0
-    r = min(max(float(residual[1:] @ residual[:-1]) / energy, 0.0), 0.99)
-    return (1 + r) / (1 - r)
+def inflation(residual: FloatArray) -> FloatArray:
+    """Return the variance inflation by correlated residuals, (1 + r) / (1 - r).
+
+    Residuals of shape (T,) or (T, N) give a factor, or one for each signal.
+    """
+    energy = np.maximum((residual ** 2).sum(0), 1e-300)
+    r = np.clip((residual[1:] * residual[:-1]).sum(0) / energy, 0, 0.99)
+    return np.asarray((1 + r) / (1 - r))
 
 
 def slow_degree(hz: float, t_us: NDArray[np.int64]) -> int:
@@ -184,6 +187,38 @@ def design(
     x = 2 * (t_us - first) / max(last - first, 1) - 1
     columns += list(np.polynomial.legendre.legvander(x, degree).T[1:])
     return np.stack(columns, axis=1)
+
+
+def noise_of(
+    law: PhaseLaw, t_us: NDArray[np.int64], exposure_us: float | FloatArray,
+    values: FloatArray, degree: int,
+) -> FloatArray:
+    """Return the covariance of the signals' noise, as if it were white.
+
+    Noise is what neither drift nor any harmonic explains, also of those that the frames
+    cannot tell apart: these change always alike, so they are no noise.
+
+    Parameters
+    ----------
+    law, t_us, exposure_us, degree
+        As in `design`.
+    values : ndarray of float64, shape (T, N)
+        Signals.
+
+    Returns
+    -------
+    ndarray of float64, shape (N, N)
+        With `inflation`.
+    """
+    most = int(np.clip((len(t_us) / 2 - 1 - degree) / 2, 1, _MOST_HARMONICS))
+    columns = design(law, t_us, exposure_us, most, degree)
+    size = np.maximum(np.sqrt((columns ** 2).sum(0)), 1e-9)
+    basis, strength, _ = np.linalg.svd(columns / size, full_matrices=False)
+    basis = basis[:, strength > _SAME * strength[0]]
+    rest = values - basis @ (basis.T @ values)
+    inflated = np.sqrt(inflation(rest))
+    return np.asarray(rest.T @ rest / max(len(t_us) - basis.shape[1], 1)
+                      * np.outer(inflated, inflated))
 
 
 def follow(
@@ -262,7 +297,7 @@ class _Step:
         """Return the law of the lowest order that explains the signals."""
         from scipy.optimize import least_squares
         self._harmonics = self._seen(PhaseLaw(self._reference, self._span, start))
-        sd = np.maximum(self._rest(start).std(0),
+        sd = np.maximum(self._noise(start),
                         1e-9 * np.abs(self._values).max(0) + 1e-30)
 
         def rest(coefficients: FloatArray) -> FloatArray:
@@ -275,14 +310,18 @@ class _Step:
                 rest,
                 np.r_[start[:order], np.zeros(max(0, order - len(start)))],
                 method="lm", x_scale=np.full(order, 0.1))
-            if best is None or 2 * (best.cost - found.cost) > _BETTER * chance:
+            if best is None or 2 * (best.cost - found.cost) > (
+                    _BETTER * chance * (order - len(best.x))):
                 best = found
-                residual = found.fun.reshape(-1, len(sd))
-                free = max(len(residual) - 1 - 2 * self._harmonics - self._degree, 1)
-                chance = 2 * found.cost / len(sd) / free * max(
-                    inflation(signal) for signal in residual.T)
+                chance = float(np.mean((self._noise(best.x) / sd) ** 2))
         return PhaseLaw(self._reference, self._span, np.asarray(best.x),
                         np.linalg.pinv(best.jac.T @ best.jac) * chance)
+
+    def _noise(self, coefficients: FloatArray) -> FloatArray:
+        """Return the standard deviation of each signal's noise."""
+        law = PhaseLaw(self._reference, self._span, coefficients)
+        return np.asarray(np.sqrt(np.diag(noise_of(
+            law, self._t, self._exposure, self._values, self._degree))))
 
     def _suit(self, coefficients: FloatArray) -> None:
         law = PhaseLaw(self._reference, self._span, coefficients)

@@ -7,17 +7,21 @@ docs/theory/harmonics.md.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._checks import whole_number
-from pdavis_cv.analysis.cycles import PhaseLaw, design, inflation
+from pdavis_cv.analyser import Analyser
+from pdavis_cv.analysis.cycles import PhaseLaw, design, noise_of
+from pdavis_cv.mosaic import demosaic
+from pdavis_cv.sensor import Layout
 
 __all__ = ["HarmonicFit", "Harmonics", "Wave", "fit_harmonics", "loop_area",
-           "of_aop", "of_dolp", "specimen_errors"]
+           "mosaic_errors", "of_aop", "of_dolp", "specimen_errors"]
 
 FloatArray = NDArray[np.float64]
 Function = Callable[[FloatArray], FloatArray]
@@ -26,6 +30,7 @@ _PHASES = 32
 """Of a cycle at which a quantity is evaluated: four harmonics of it are exact to its
 28th."""
 _STEP = 1e-5    # of S0, for derivatives
+_SAMPLED = 12   # phases of a cycle that are demosaiced again, for four harmonics
 _LEAST_S0 = 1e-30
 
 
@@ -118,9 +123,9 @@ class Harmonics:
         function : callable, optional
             Takes signals of shape (N, M, ...), one per phase, and returns (M, ...):
             `of_dolp`, `of_aop` or another.  Default: the first signal.
-        errors : ndarray of float64, shape (E, N, N), optional
-            Independent errors of all coefficients, as matrices that multiply the
-            signals, one standard deviation each: see `polarizer_errors`.
+        errors : ndarray of float64, shape (E, N, 1 + 2 K), optional
+            Independent errors of the coefficients, one standard deviation each: see
+            `specimen_errors` and `mosaic_errors`.
 
         Returns
         -------
@@ -146,13 +151,8 @@ class Harmonics:
         along = np.stack((by[0].real, (by[1] * turn).real, (by[1] * turn).imag))
         variance = np.einsum("enj...,nl...,jk...,elk...->e...", along, self.noise,
                              self.shape_covariance, along, optimize=True)
-        for matrix in () if errors is None else errors:
-            by_error = np.einsum(
-                "nm...,nm...->m...", gradient, np.einsum("nl,lm...->nm...", matrix,
-                                                         signals))
-            shift = np.einsum("km,m...->k...", project[:2], by_error)
-            variance = variance + np.stack((
-                shift[0].real, (shift[1] * turn).real, (shift[1] * turn).imag)) ** 2
+        if errors is not None:
+            variance = variance + (np.einsum("knj,enj->ek", along, errors) ** 2).sum(0)
         se = np.sqrt(np.maximum(variance, 0))
         amplitude = np.abs(found[1:])
         phase_se = np.full(amplitude[0].shape, np.inf)
@@ -230,13 +230,15 @@ class Harmonics:
 
 
 def specimen_errors(
-    gain: float, angle_rad: float, contrast: float, offset: float, *, samples: float,
-    common_contrast: float = 0.0, common_offset: float = 0.0,
+    fit: Harmonics, gain: float, angle_rad: float, contrast: float, offset: float, *,
+    samples: float, common_contrast: float = 0.0, common_offset: float = 0.0,
 ) -> FloatArray:
     """Return what the spread of pixels and polarizers does to S0, S1, S2 of a region.
 
     Parameters
     ----------
+    fit : Harmonics
+        Of S0, S1, S2 of the region.
     gain, angle_rad, contrast, offset : float
         Standard deviations from pixel to pixel: relative, radians, absolute, and a part
         of the mean S0.
@@ -247,9 +249,9 @@ def specimen_errors(
 
     Returns
     -------
-    ndarray of float64, shape (18, 3, 3)
-        For `Harmonics.wave`: each of four orientations has four errors, and all have
-        the two common ones.
+    ndarray of float64, shape (18, 3, 1 + 2 K)
+        Errors of the coefficients, for `Harmonics.wave`: each of four orientations has
+        four, and all have the two common ones.
     """
     found = [np.diag((0.0, common_contrast, common_contrast)),
              np.diag((2 * common_offset, 0.0, 0.0))]
@@ -261,7 +263,54 @@ def specimen_errors(
                             (contrast, (0.0, cos / 2, sin / 2)),
                             (offset, (1.0, 0.0, 0.0))):
             found.append(sigma / np.sqrt(samples) * np.outer(back, seen))
-    return np.stack(found)
+    return np.asarray(np.stack(found) @ fit.coefficients)
+
+
+def mosaic_errors(
+    maps: Harmonics, masks: Sequence[NDArray[np.bool_]], layout: Layout, method: str
+) -> list[FloatArray]:
+    """Return what demosaicing does to S0, S1, S2 of regions with structure.
+
+    Each orientation is sampled at a quarter of the pixels, so that edges count more in
+    one than in another.  The light that was found is sampled and demosaiced again, at
+    the places of the mosaic and a column beside, where the error is the same.
+
+    Parameters
+    ----------
+    maps : Harmonics
+        S0, S1, S2 of each pixel, shape (H, W), not smoothed.
+    masks : sequence of ndarray of bool, shape (H, W)
+        Regions.
+    layout : Layout
+        Polarizer in front of each pixel.
+    method : str
+        How the images were demosaiced, ``"bilinear"`` or ``"guided"``.
+
+    Returns
+    -------
+    list of ndarray of float64, shape (2, 3, 1 + 2 K)
+        For each region errors of the coefficients, for `Harmonics.wave`; together one
+        standard deviation.
+    """
+    light, basis = maps.cycle(_SAMPLED), maps._basis(_SAMPLED)
+    known = np.asarray(np.isfinite(light).all((0, 1)), np.bool_)
+    inside = [mask & known for mask in masks]
+    back = basis / (basis ** 2).sum(0)
+    found = np.zeros((len(masks), 2, 3, basis.shape[1]))
+    for m, stokes in enumerate(np.where(known, light, 0.0).swapaxes(0, 1)):
+        quad = np.tensordot(Analyser.ideal().response, stokes, 1)
+        for beside in (0, 1):
+            moved = layout.crop(beside, 0)
+            mosaic = np.empty(known.shape, np.float32)
+            for channel, place in zip(quad, moved.places, strict=True):
+                part = slice(place // 2, None, 2), slice(place % 2, None, 2)
+                mosaic[part] = channel[part]
+            i0, i45, i90, i135 = again = demosaic(mosaic, moved, method, valid=known)
+            off = np.stack((again.sum(0) / 2, i0 - i90, i45 - i135)) - stokes
+            for total, mask in zip(found, inside, strict=True):
+                mean = off[:, mask].sum(1) / max(np.count_nonzero(mask), 1)
+                total[beside] += np.outer(mean, back[m]) / math.sqrt(2)
+    return list(found)
 
 
 def fit_harmonics(
@@ -294,9 +343,7 @@ def fit_harmonics(
     inverse = np.asarray(
         np.linalg.pinv(columns.T @ columns, hermitian=True), np.float64)
     found = inverse @ (columns.T @ values)
-    rest = values - columns @ found
-    noise = rest.T @ rest / max(len(t_us) - columns.shape[1], 1) * max(
-        inflation(signal) for signal in rest.T)
+    noise = noise_of(law, t_us, exposure_us, values, degree)
     keep = 1 + 2 * harmonics
     slope = found[keep] if degree else np.zeros(values.shape[1])
     slope_se = np.sqrt(np.diag(noise) * (inverse[keep, keep] if degree else 0.0))

@@ -51,6 +51,8 @@ class Periodic:
         Of S0, S1, S2, one per region; empty without a resolved harmonic.
     reasons : tuple of str
         Why the amplitude of each region cannot be told; empty where it can.
+    doubt : str
+        What the stated errors do not contain; empty if nothing is known of it.
     """
 
     law: PhaseLaw
@@ -58,6 +60,7 @@ class Periodic:
     degree: int
     regions: tuple[Harmonics, ...]
     reasons: tuple[str, ...]
+    doubt: str = ""
 
 
 def fit_periodic(
@@ -107,7 +110,8 @@ def fit_periodic(
     seen = float(np.abs(np.sinc(hz * np.mean(exposure_us) / 1e6)))
     locked = (
         f"{rate:.4g} frames per second see {hz:.4g} Hz always at the same phases, so "
-        "amplitude and mean cannot be told: change the load or the frame rate by 1 %"
+        "amplitude and mean cannot be told: change the load or the frame rate by 1 %, "
+        "or state the frequency more exactly"
     ) if seen > LEAST_SEEN else (
         f"exposures of {np.mean(exposure_us) / 1e3:.3g} ms blur {hz:.4g} Hz to "
         f"{seen:.0%} of its amplitude: shorten them")
@@ -136,7 +140,12 @@ def fit_periodic(
         else:
             reasons.append(
                 _unsteady(law, t_us, one, exposure_us, wave, quantity))
-    return Periodic(law, harmonics, degree, tuple(regions), tuple(reasons))
+    off = abs(3 * law.hz - rate * round(3 * law.hz / rate))
+    doubt = "" if off * seconds > 1 else (
+        f"{rate:.4g} frames per second cannot tell the second harmonic of "
+        f"{law.hz:.4g} Hz from the fundamental, which it falsifies: change the load or "
+        "the frame rate by 1 %")
+    return Periodic(law, harmonics, degree, tuple(regions), tuple(reasons), doubt)
 
 
 def _unsteady(

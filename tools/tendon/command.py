@@ -45,16 +45,17 @@ from . import force, periodic, report, results
 from .findings import Findings
 from .video import TendonSheet
 
-__all__ = ["main", "measure"]
+__all__ = ["main", "measure", "parser"]
 
 
 _SAME = 0.1     # relative difference of frequencies that mean the same
+_STATED = 0.02  # to which a stated one is taken to be right
 
 
 @command
 def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis tendon``."""
-    args = _parser().parse_args(argv)
+    args = parser().parse_args(argv)
     if (args.thickness_um is None) != (args.wavelength_nm is None):
         raise UsageError("--thickness-um and --wavelength-nm belong together")
     report.matplotlib()  # report a missing package before the work
@@ -75,7 +76,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     parser = Parser(
         "tendon", __doc__ or "",
         "pdavis tendon tendon.aedat4 -o tendon --region fibre=120,80,40,24 "
@@ -164,6 +166,7 @@ def measure(
     options = fuse_options(args, recording)
     if args.demosaic is None:
         options["demosaic"] = "guided"      # stripes are half as high
+    assumed = periodic.assume_ratio(recording, options)
     fps = float(args.fps or 100.0)
     times = grid_times(recording, fps, options["start_us"], options["stop_us"])
     options |= {"fps": None, "start_us": None, "stop_us": None, "times_us": times}
@@ -182,6 +185,7 @@ def measure(
     if recording.info.frame_count != 0:
         frames = _traces(args, recording, held, regions, background)
     facts = facts_of(recording, options, estimate=args.estimate, images_per_second=fps)
+    facts["assumed"] = [*facts["assumed"], *assumed]
     stage("amplitude and phase")
     start = start_of(recording)
     light = periodic.measure(
@@ -193,6 +197,8 @@ def measure(
     _optics(args, found)
     found.messages += [f"{roi.name}: no amplitude: {reason}" for roi, reason in zip(
         regions, light.fit.reasons, strict=True) if reason]
+    if light.fit.doubt:
+        found.messages.append(light.fit.doubt)
     if frames is None:
         found.messages.append(
             "no frames: amplitude and phase are those of the fused images, which "
@@ -232,7 +238,8 @@ def _found_hz(
 ) -> float:
     """Return the load's frequency: as stated, or the strongest in a region's DoLP.
 
-    Of fused images, frames may pull it to where it aliases; events say where it is.
+    Of fused images, frames may pull it to where it aliases; events say where it is, and
+    whether a stated one that frames see always at the same phases is exact.
     """
     for roi, row in zip(fused.rois, fused.table, strict=True):
         known = np.count_nonzero(np.isfinite(row["dolp"]))
@@ -240,14 +247,17 @@ def _found_hz(
             raise UsageError(
                 f"region {roi.name}: its DoLP is known in {known} images, and 8 are "
                 "needed; pdavis view shows which pixels are valid")
-    if args.load_hz is not None:
-        return float(args.load_hz)
-    tones = [analysis.dominant_tone(fused.t_us, row["dolp"]) for row in fused.table]
-    hz = min(tones, key=lambda tone: tone.hz_se / tone.hz).hz
     by_events = analysis.event_hz(
         recording, fused.rois,
         Layout.of(args.layout or recording.info.layout or Layout.PDAVIS),
         int(fused.t_us[0]), int(fused.t_us[-1]))
+    if args.load_hz is not None:
+        stated = float(args.load_hz)
+        if by_events is None or abs(by_events / stated - 1) > _STATED:
+            return stated
+        return by_events
+    tones = [analysis.dominant_tone(fused.t_us, row["dolp"]) for row in fused.table]
+    hz = min(tones, key=lambda tone: tone.hz_se / tone.hz).hz
     return hz if by_events is None or abs(hz / by_events - 1) < _SAME else by_events
 
 
@@ -255,7 +265,8 @@ def _background(args: argparse.Namespace, options: dict[str, Any]) -> Any:
     """Return the mean Stokes planes of the recording without the sample."""
     if args.background is None:
         return None
-    kept = {name: options[name] for name in ("roi", "layout", "demosaic")}
+    kept = {name: options[name] for name in (
+        "roi", "layout", "demosaic", "calibration", "extinction_ratio")}
     with opened(args, args.background) as empty:
         planes: Any = 0.0
         n = 0

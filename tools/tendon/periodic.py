@@ -10,21 +10,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import PolarFrame, Recording, analysis, fuse
-from pdavis_cv.fusion.camera import mismatch_of
+from pdavis_cv.fusion.camera import chosen_layout, chosen_sensor, mismatch_of
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.sensor import Sensor
 
 from .._options import calibration_of
 
-__all__ = ["Frames", "PeriodicLight", "measure"]
+__all__ = ["Frames", "PeriodicLight", "assume_ratio", "measure"]
 
 FloatArray = NDArray[np.float64]
 
-_RATIO_SIGMA = 16.0
-"""Spread of the extinction ratio from camera to camera, if none is stated: published
-ones are 25 to 44."""
+_RATIO, _CONTRAST_SIGMA = 34.5, 0.010
+"""Where no extinction ratio is stated, the middle of the published ones of the PDAVIS,
+25 to 44: the sensor's holds at the best wavelength.  And the rms error of the contrast
+if they are uniform in their logarithm."""
 _COMMON_OFFSET = 1 / 2
 """Offset that all pixels share, relative to its spread: without dark frames."""
+
+
+def assume_ratio(recording: Recording, options: dict[str, Any]) -> list[str]:
+    """Set the extinction ratio in arguments of fuse() if none is known, and say so."""
+    calibration = options["calibration"]
+    if options["extinction_ratio"] != "nominal" or (
+            calibration is not None and calibration.analyser is not None) or (
+            chosen_sensor(options["layout"], recording) != Sensor.PDAVIS):
+        return []
+    options["extinction_ratio"] = _RATIO
+    return [f"extinction ratio assumed ({_RATIO:g}, the middle of 25 to 44)"]
 
 
 class Frames:
@@ -85,7 +97,7 @@ class PeriodicLight:
     pixels : ndarray of int64, shape (R,)
         Pixels of the regions that are valid in all frames.
     errors : list of ndarray
-        Errors of camera and polarizers, for each region.
+        Errors of camera, polarizers and demosaicing, of each region in ``fit``.
     maps : Harmonics or None
         Of each pixel, smoothed; None if no harmonic is resolved.
     raw_mean : ndarray of float64, shape (3, H, W)
@@ -141,8 +153,7 @@ def measure(
     fit = _on_time(fit, inside, delay)
     return PeriodicLight(
         fit, t, stokes, pixels,
-        [_errors(args, recording, one.mean(0)[0], int(count), scale, exposure)
-         for one, count in zip(stokes, pixels, strict=True)],
+        _errors(args, recording, fit, whole, inside, last, exposure),
         whole.smoothed(args.smooth) if fit.harmonics else None,
         whole.coefficients[:, 0])
 
@@ -171,20 +182,31 @@ def _on_time(
 
 
 def _errors(
-    args: argparse.Namespace, recording: Recording, s0: float, pixels: int,
-    scale: int, exposure_us: FloatArray,
-) -> FloatArray:
-    """Return the errors of camera and polarizers in the mean of a region's pixels."""
+    args: argparse.Namespace, recording: Recording, fit: analysis.Periodic,
+    maps: analysis.Harmonics, masks: list[NDArray[np.bool_]], image: PolarFrame,
+    exposure_us: FloatArray,
+) -> list[FloatArray]:
+    """Return the errors of camera, polarizers and demosaicing in each region."""
     calibration = calibration_of(args.calibration) if args.calibration else None
     sensor = recording.info.sensor or Sensor.PDAVIS
     gain, angle, contrast = mismatch_of(sensor)
-    ratio = sensor.extinction_ratio or 0.0
-    common = 2 * _RATIO_SIGMA / (ratio + 1) ** 2 if (
-        ratio and args.extinction_ratio is None) else 0.0
+    common = _CONTRAST_SIGMA if args.extinction_ratio is None and (
+        image.provenance["extinction_ratio"] == _RATIO) else 0.0
     if calibration is not None and calibration.analyser is not None:
         gain = angle = contrast = common = 0.0
-    offset = 0.0 if calibration is not None and calibration.dark is not None else (
-        sensor.offset_dn / max(float(exposure_us.mean()) / 1e3, 1e-3) / max(s0, 1e-9))
-    return analysis.specimen_errors(
-        gain, angle, contrast, offset, samples=max(pixels * scale ** 2 / 4, 1),
-        common_contrast=common, common_offset=offset * _COMMON_OFFSET)
+    dark = 0.0 if calibration is not None and calibration.dark is not None else (
+        sensor.offset_dn / max(float(exposure_us.mean()) / 1e3, 1e-3))
+    scale, found = _place(image)[1], []
+    sampled: list[FloatArray] = []
+    if scale == 1 and fit.regions:
+        layout = chosen_layout(args.layout, calibration, recording)
+        sampled = analysis.mosaic_errors(
+            maps, masks, layout.crop(*image.provenance["roi"][:2]),
+            str(image.provenance["demosaic"]))
+    for i, (one, mask) in enumerate(zip(fit.regions, masks, strict=False)):
+        offset = dark / max(float(one.coefficients[0, 0]), 1e-9)
+        found.append(np.concatenate((*sampled[i:i + 1], analysis.specimen_errors(
+            one, gain, angle, contrast, offset,
+            samples=max(mask.sum() * scale ** 2 / 4, 1), common_contrast=common,
+            common_offset=offset * _COMMON_OFFSET))))
+    return found

@@ -16,7 +16,7 @@ from pdavis_cv import analysis, render
 from pdavis_cv._beside import write_beside
 
 from .findings import Findings
-from .results import error_of, rounded, rows_of
+from .results import clock_of, error_of, rounded, rows_of
 
 __all__ = ["matplotlib", "summary", "write_report"]
 
@@ -76,7 +76,7 @@ def write_report(path: str | os.PathLike[str], found: Findings) -> None:
         "show its mean over their exposure.</p>", _figure(_cycle, found, 3.2),
         "<h2>Drift</h2>", _drift_table(found)]
     if any(found.loops):
-        parts += ["<h2>Loop</h2>", _figure(_loop, found, 3.6), _loop_table(found)]
+        parts += ["<h2>Loop</h2>", _figure(_loop, found, 3.6)]
     if found.light.maps is not None:
         parts += ["<h2>Maps of the load's effect</h2>",
                   f"<p>Of DoLP at {found.load_hz:.4f} Hz; phase where the amplitude "
@@ -111,15 +111,8 @@ def summary(found: Findings) -> tuple[list[str], dict[str, Any]]:
                              "messages": found.messages, "assumed": assumed}
     lines += assumed
     if found.clock is not None:
-        clock = found.clock
-        facts["clock"] = {
-            "how": clock.how, "offset_s": clock.offset_s,
-            "offset_se_s": clock.offset_se_s, "skew_ppm": clock.skew_ppm,
-            "skew_se_ppm": clock.skew_se_ppm}
-        lines.append(f"load file: its zero lies at {clock.offset_s:.4f} s" + (
-            "" if clock.how == "offset" else
-            f" (+- {1e3 * clock.offset_se_s:.2g} ms), its clock is "
-            f"{clock.skew_ppm:.0f} +- {clock.skew_se_ppm:.0f} ppm slow"))
+        facts["clock"] = clock_of(found)
+        lines.append(f"load file: {_clock(found.clock)}")
     return lines, facts
 
 
@@ -139,6 +132,7 @@ def _load_table(found: Findings) -> str:
     known = (("frequency_hz", "frequency / Hz"), ("dolp", "mean DoLP"),
              ("dolp_amplitude", "amplitude"), ("phase_deg", "phase at start / deg"),
              ("lag_behind_load_deg", "behind the load / deg"),
+             ("loop_area", "loop area per cycle"),
              ("aop_deg", "mean AoP / deg"),
              ("retardance_deg", "retardance / deg"),
              ("birefringence", "birefringence"), ("note", ""))
@@ -149,15 +143,17 @@ def _load_table(found: Findings) -> str:
         (row["region"], *(_with_error(row, name) for name, _ in shown))
         for row in rows))
     if found.clock is not None:
-        clock = found.clock
-        text += (
-            f"<p>Load file, aligned by {clock.how}: its zero lies at "
-            f"{clock.offset_s:.4f} s of the recording"
-            + ("" if clock.how == "offset" else
-               f" (\u00b1 {1e3 * clock.offset_se_s:.2g} ms), its clock is "
-               f"{clock.skew_ppm:.0f} \u00b1 {clock.skew_se_ppm:.0f} ppm slow")
-            + ".</p>")
+        text += (f"<p>Load file, aligned by {found.clock.how}: "
+                 f"{_clock(found.clock)}.</p>")
     return text
+
+
+def _clock(clock: analysis.Clock) -> str:
+    text = f"its zero lies at {clock.offset_s:.4f} s"
+    if clock.how == "offset":
+        return text
+    return (f"{text} (+- {1e3 * clock.offset_se_s:.2g} ms), its clock is "
+            f"{clock.skew_ppm:.0f} +- {clock.skew_se_ppm:.0f} ppm slow")
 
 
 def _with_error(row: dict[str, Any], name: str) -> str:
@@ -176,14 +172,6 @@ def _drift_table(found: Findings) -> str:
             for change, error in zip(fit.slope, fit.slope_se, strict=True))))
     return _table(("region", "S0", "S1", "S2"), rows) + (
         "<p>Change from the first to the last frame, as a part of the mean S0.</p>")
-
-
-def _loop_table(found: Findings) -> str:
-    return _table(
-        ("region", "area per cycle"),
-        ((roi.name, f"{loop.area:.4g} \u00b1 {loop.area_se:.2g}")
-         for roi, loop in zip(found.fused.rois, found.loops, strict=True)
-         if loop is not None))
 
 
 def _picture(picture: render.Picture) -> str:

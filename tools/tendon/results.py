@@ -15,7 +15,8 @@ from pdavis_cv.analysis import of_aop, of_dolp
 
 from .findings import Findings, Loop
 
-__all__ = ["error_of", "loop_of", "maps_of", "rounded", "rows_of", "waves_of", "write"]
+__all__ = ["clock_of", "error_of", "loop_of", "maps_of", "rounded", "rows_of",
+           "waves_of", "write"]
 
 FloatArray = NDArray[np.float64]
 
@@ -37,11 +38,12 @@ def waves_of(
             retardance(stokes), thickness_um=args.thickness_um,
             wavelength_nm=args.wavelength_nm)
     fit = found.light.fit
-    regions = fit.regions or (None,) * len(fit.reasons)
-    return [None if reason or harmonics is None else {
+    if not fit.regions:
+        return [None] * len(fit.reasons)
+    return [None if reason else {
         name: harmonics.wave(of, errors) for name, of in quantities.items()}
         for harmonics, reason, errors in zip(
-            regions, fit.reasons, found.light.errors, strict=True)]
+            fit.regions, fit.reasons, found.light.errors, strict=True)]
 
 
 def loop_of(found: Findings, region: int) -> Loop | None:
@@ -142,11 +144,18 @@ def maps_of(found: Findings) -> dict[str, tuple[FloatArray, str]]:
         wave = light.maps.wave(of_dolp)
         maps |= {
             "amplitude of DoLP": (wave.amplitude[0], ""),
-            "its standard error": (wave.amplitude_se, ""),
+            "standard error of the amplitude": (wave.amplitude_se, ""),
             "phase of DoLP": (np.rad2deg(wave.phase[0]), "deg"),
-            "error of the phase": (np.rad2deg(wave.phase_se), "deg"),
-            "error of the mean DoLP": (wave.mean_se, "")}
+            "standard error of the phase": (np.rad2deg(wave.phase_se), "deg"),
+            "standard error of the mean DoLP": (wave.mean_se, "")}
     return maps
+
+
+def clock_of(found: Findings) -> dict[str, Any] | None:
+    """Return the load file's clock by name, None for what is not known."""
+    return None if found.clock is None else {
+        name: value if value == value else None
+        for name, value in vars(found.clock).items()}
 
 
 def write(args: argparse.Namespace, found: Findings) -> list[Path]:
@@ -192,14 +201,11 @@ def write(args: argparse.Namespace, found: Findings) -> list[Path]:
             ((roi.name, x, y) for roi, loop in zip(rois, found.loops, strict=True)
              if loop is not None for x, y in zip(loop.x, loop.y, strict=True)),
             digits=7, **table)
-    clock = found.clock
     export.write_json(out / "results.json", {
         "regions": rows, "messages": found.messages,
         "load_hz": found.load_hz, "load_hz_se": found.light.fit.law.hz_se,
         "harmonics": found.light.fit.harmonics,
-        "clock": None if clock is None else {
-            name: value if value == value else None
-            for name, value in vars(clock).items()}, "facts": facts})
+        "clock": clock_of(found), "facts": facts})
     return written
 
 
