@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["LEAST_SEEN", "PhaseLaw", "design", "follow", "inflation", "noise_of",
-           "resolved", "slow_degree"]
+           "resolved", "suited"]
 
 FloatArray = NDArray[np.float64]
 
@@ -150,6 +150,20 @@ def resolved(
         if (turn ** 2 / np.maximum(low, 1e-12)).sum(1).max() < _MOST_INFLATED:
             return count
     return 0
+
+
+def suited(
+    law: PhaseLaw, t_us: NDArray[np.int64], exposure_us: float | FloatArray
+) -> tuple[int, int]:
+    """Return how many harmonics frames tell apart, and the degree of the drift beside.
+
+    It is lower than it might be if that shows a second harmonic, which aliases to a
+    slow change at frequencies near half the frame rate.
+    """
+    degrees = range(slow_degree(law.hz, t_us), 0, -1)
+    counts = [resolved(law, t_us, exposure_us, degree) for degree in degrees]
+    return next((count, degree) for count, degree in zip(counts, degrees, strict=True)
+                if count >= min(2, max(counts)))
 
 
 def design(
@@ -325,7 +339,7 @@ class _Step:
 
     def _suit(self, coefficients: FloatArray) -> None:
         law = PhaseLaw(self._reference, self._span, coefficients)
-        self._degree = slow_degree(law.hz, self._t)
+        self._degree = suited(law, self._t, self._exposure)[1]
 
     def _seen(self, law: PhaseLaw) -> int:
         """Return the number of harmonics up to the last that exceeds the noise."""

@@ -11,7 +11,7 @@ from pdavis_cv.analysis.cycles import (
     PhaseLaw,
     follow,
     resolved,
-    slow_degree,
+    suited,
 )
 from pdavis_cv.analysis.harmonics import (
     Function,
@@ -116,13 +116,12 @@ def fit_periodic(
         f"exposures of {np.mean(exposure_us) / 1e3:.3g} ms blur {hz:.4g} Hz to "
         f"{seen:.0%} of its amplitude: shorten them")
     steady = PhaseLaw.steady(hz, reference_us)
-    if not resolved(steady, t_us, exposure_us, slow_degree(hz, t_us)):
+    if not suited(steady, t_us, exposure_us)[0]:
         return refused(locked)
     relative = stokes / stokes[:, :, :1].mean(1, keepdims=True)
     signals = relative.transpose(1, 0, 2).reshape(len(t_us), -1)
     law = follow(t_us, signals, hz, reference_us, exposure_us)
-    degree = slow_degree(law.hz, t_us)
-    harmonics = resolved(law, t_us, exposure_us, degree)
+    harmonics, degree = suited(law, t_us, exposure_us)
     if abs(law.hz / hz - 1) > _MOST_OFF:
         return refused(f"no steady period near {hz:.4g} Hz was found in the frames")
     if not harmonics:
