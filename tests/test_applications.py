@@ -314,8 +314,7 @@ def test_a_load_in_step_with_the_frames_is_refused_and_the_mean_written(
     assert tendon.main(["a", "-o", str(tmp_path), "--no-video", "--load-hz", "10",
                         "--load", str(tmp_path / "load.csv"), "--offset", "0.2"]) == 0
     assert not (tmp_path / "loop.csv").exists()
-    assert re.search(
-        r"see 10(\.0\d*)? Hz always at the same phases", capsys.readouterr().out)
+    assert "see 10 Hz always at the same phases" in capsys.readouterr().out
     row = json.loads((tmp_path / "results.json").read_text())["regions"][0]
     assert "dolp_amplitude" not in row
     assert 0.2 < row["dolp"] < 0.8

@@ -50,6 +50,7 @@ __all__ = ["main", "measure", "parser"]
 
 _SAME = 0.1     # relative difference of frequencies that mean the same
 _STATED = 0.02  # to which a stated one is taken to be right
+_EXACT = 0.25   # cycles over the record that events do not tell apart
 
 
 @command
@@ -253,7 +254,9 @@ def _found_hz(
         int(fused.t_us[0]), int(fused.t_us[-1]))
     if args.load_hz is not None:
         stated = float(args.load_hz)
-        if by_events is None or abs(by_events / stated - 1) > _STATED:
+        seconds = (fused.t_us[-1] - fused.t_us[0]) / 1e6
+        if by_events is None or abs(by_events / stated - 1) > _STATED or (
+                abs(by_events - stated) * seconds < _EXACT):
             return stated
         return by_events
     tones = [analysis.dominant_tone(fused.t_us, row["dolp"]) for row in fused.table]
