@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import functools
 import importlib
+import operator
 import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
@@ -127,7 +128,7 @@ def loaded(what: Any) -> Any:
     if not isinstance(what, str):
         return what
     module, _, name = what.partition(":")
-    return getattr(importlib.import_module(module), name)
+    return operator.attrgetter(name)(importlib.import_module(module))
 
 
 _MEANT = {"framerate": "fps", "frame_rate": "fps", "frame-rate": "fps",

@@ -14,6 +14,7 @@ from pdavis_cv import FORMATS, Layout, VideoCapture, open_recording
 from pdavis_cv.recording import registry
 from pdavis_cv.recording.format import Format
 from pdavis_cv.recording.hdf5.writer import write_hdf5
+from pdavis_cv.registry import loaded
 from pdavis_cv.tools.convert import main as convert
 
 MODULE = '''
@@ -141,9 +142,7 @@ def test_readers_load_and_names_are_those_of_the_table():
     for name, one in FORMATS.items():
         assert one.name == name
         for what in filter(None, (one.reader, one.writer, one.sniff)):
-            module, _, name = what.partition(":")
-            __import__(module)
-            assert callable(getattr(sys.modules[module], name))
+            assert callable(loaded(what))
 
 
 @pytest.mark.parametrize(("wrong", "message"), [

@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import html
-import importlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
@@ -14,6 +13,7 @@ from pdavis_cv._beside import write_beside
 from pdavis_cv.batch.results import DONE, Results
 from pdavis_cv.batch.worker import Row
 from pdavis_cv.export.tables import write_csv
+from pdavis_cv.recording.parquet import pyarrow
 
 __all__ = ["Table"]
 
@@ -123,19 +123,14 @@ class Table(Sequence[Row]):
         ImportError
             If pyarrow (extra ``[parquet]``) is not installed.
         """
-        try:
-            pyarrow: Any = importlib.import_module("pyarrow")
-            parquet: Any = importlib.import_module("pyarrow.parquet")
-        except ImportError as error:
-            raise ImportError(
-                "Parquet needs pyarrow: pip install 'pdavis-cv[parquet]'") from error
+        arrow, parquet = pyarrow()
         columns = self.columns
         values = list(zip(*(self.cells(row, columns) for row in self), strict=True))
         made = {name: _uniform(column) for name, column in zip(
             columns, values or [()] * len(columns), strict=True)}
         with self._results.written("summary.parquet") if path is None else (
                 write_beside(path)) as part:
-            parquet.write_table(pyarrow.table(made), part)
+            parquet.write_table(arrow.table(made), part)
 
     def write_page(self, path: Any) -> None:
         """Write all rows as a web page with sortable columns and pictures.

@@ -49,13 +49,7 @@ class BagFile(Bag):
         self.count = 0
 
     def add(self, frame: PolarFrame, picture: Image | None = None) -> None:
-        """Append an image, and a colour picture of it, uint8 (H, W, 3), BGR.
-
-        Raises
-        ------
-        ValueError
-            If the frame has no time, or one before 0.
-        """
+        """Append an image, and a colour picture of it, uint8 (H, W, 3), BGR."""
         if frame.t_us is None:
             raise ValueError("frame must have a time")
         if not self.count:

@@ -83,27 +83,10 @@ class Bag:
 
     def put(self, topic: str, kind: str, t_us: int, *, tail: bytes = b"",
             stamp_us: int | None = None, **fields: Any) -> None:
-        """Write a message.
+        """Write a message to ``/pdavis/TOPIC`` that arrived at t_us.
 
-        Parameters
-        ----------
-        topic : str
-            Its name after ``/pdavis/``.
-        kind : str
-            Type of the message.
-        t_us : int
-            Time of arrival.
-        tail : bytes
-            Replaces the last four bytes of the message: those of an empty sequence.
-        stamp_us : int, optional
-            Time in the header, if the message has one; default: `t_us`.
-        **fields
-            The other fields.
-
-        Raises
-        ------
-        ValueError
-            If the time is before 0.
+        `stamp_us` is the time in its header, by default `t_us`; `tail` replaces its
+        last four bytes, those of an empty sequence.  A time before 0 is a ValueError.
         """
         if t_us < 0:
             raise ValueError(f"a bag holds no time before 0, got {t_us} us")
@@ -130,15 +113,9 @@ class Bag:
 
     def image(self, topic: str, t_us: int, image: NDArray[Any],
               encoding: str | None = None, stamp_us: int | None = None) -> None:
-        """Write an image of uint8, uint16 or float32, shape (H, W), or BGR (H, W, 3).
+        """Write an image of uint8, uint16 or float32, (H, W), or BGR, (H, W, 3).
 
-        Parameters
-        ----------
-        topic, t_us, stamp_us
-            As in `put`.
-        image : ndarray
-        encoding : str, optional
-            Default: that of the dtype, or ``bgr8``.
+        The encoding is by default that of the dtype, or ``bgr8``.
         """
         image = np.ascontiguousarray(image)
         self.put(topic, IMAGES, t_us, stamp_us=stamp_us, height=image.shape[0],

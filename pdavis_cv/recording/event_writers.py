@@ -17,7 +17,7 @@ from pdavis_cv.recording.parquet import METADATA, pyarrow
 from pdavis_cv.recording.prophesee import EVT2, EVT3, RISING
 from pdavis_cv.recording.writer import RecordingWriter, edges_of, source_text
 
-__all__ = ["write_es", "write_numpy", "write_parquet", "write_raw", "write_text"]
+__all__ = ["NumpyWriter", "ParquetWriter", "RawWriter", "StreamWriter", "TextWriter"]
 
 _ES_STEP = 127
 """Time that a byte without an event adds, us."""
@@ -46,6 +46,24 @@ class _EventWriter(RecordingWriter):
     def __init__(self, path: str | os.PathLike[str], recording: Recording) -> None:
         self._info = recording.info
         super().__init__(path, recording.info.sensor_size)
+        try:
+            self._begin()
+        except BaseException:
+            self.discard()
+            raise
+
+    @classmethod
+    def write(cls, path: str | os.PathLike[str], recording: Recording, **options: Any
+              ) -> Mapping[str, int]:
+        """Write a recording; return the number of what was lost, by description."""
+        clear(path)
+        with cls(path, recording, **options) as writer:
+            for packet in recording.packets():
+                writer.add(packet)
+        return writer.losses
+
+    def _begin(self) -> None:
+        """Write what comes before the first event."""
 
     def _write(self, packet: Packet) -> None:
         for name in {"frames", "imu", "triggers"} - self.holds:
@@ -62,12 +80,16 @@ class _EventWriter(RecordingWriter):
         pass
 
 
-class _RawWriter(_EventWriter):
+class RawWriter(_EventWriter):
+    """Prophesee's RAW, in EVT2 or EVT3; holds triggers as well."""
+
     holds = frozenset(("events", "triggers"))
 
     def __init__(self, path: str | os.PathLike[str], recording: Recording,
-                 encoding: str) -> None:
-        self._version = {"evt2": EVT2, "evt3": EVT3}[encoding]
+                 encoding: str = "evt3") -> None:
+        if encoding not in ("evt2", "evt3"):
+            raise ValueError(f"encoding of RAW must be evt2 or evt3, got {encoding!r}")
+        self._version = EVT3 if encoding == "evt3" else EVT2
         height, width = recording.info.sensor_size
         if max(height, width) > _MOST_COORDINATE + 1:
             raise ValueError(
@@ -143,9 +165,10 @@ class _RawWriter(_EventWriter):
             self._header(0)
 
 
-class _StreamWriter(_EventWriter):
-    def __init__(self, path: str | os.PathLike[str], recording: Recording) -> None:
-        super().__init__(path, recording)
+class StreamWriter(_EventWriter):
+    """Event Stream."""
+
+    def _begin(self) -> None:
         self._now: int | None = None
         height, width = self.sensor_size
         self._file.write(b"Event Stream\2\0\0\1" + np.array(
@@ -169,9 +192,10 @@ class _StreamWriter(_EventWriter):
         self._now = int(events["t"][-1])
 
 
-class _TextWriter(_EventWriter):
-    def __init__(self, path: str | os.PathLike[str], recording: Recording) -> None:
-        super().__init__(path, recording)
+class TextWriter(_EventWriter):
+    """Lines of text, times in us."""
+
+    def _begin(self) -> None:
         height, width = self.sensor_size    # in the names, as faery has it
         self._file.write(f"t,x@{width},y@{height},on\n".encode())
 
@@ -181,9 +205,10 @@ class _TextWriter(_EventWriter):
             "%d,%d,%d,%d\n".__mod__, zip(*columns, strict=True))).encode())
 
 
-class _NumpyWriter(_EventWriter):
-    def __init__(self, path: str | os.PathLike[str], recording: Recording) -> None:
-        super().__init__(path, recording)
+class NumpyWriter(_EventWriter):
+    """An array of EVENT_DTYPE, ``.npy``."""
+
+    def _begin(self) -> None:
         self._count = 0
         self._header()
 
@@ -202,10 +227,11 @@ class _NumpyWriter(_EventWriter):
         self._header()
 
 
-class _ParquetWriter(_EventWriter):
-    def __init__(self, path: str | os.PathLike[str], recording: Recording) -> None:
+class ParquetWriter(_EventWriter):
+    """A table with columns t (us), x, y, p."""
+
+    def _begin(self) -> None:
         self._arrow, parquet = pyarrow()
-        super().__init__(path, recording)
         self._schema = self._arrow.schema(
             [(name, self._arrow.from_numpy_dtype(EVENT_DTYPE[name]))
              for name in "txyp"], {METADATA: json.dumps({
@@ -230,42 +256,3 @@ class _ParquetWriter(_EventWriter):
         if self._waiting:
             self._group()
         self._table.close()
-
-
-def _written(writer: _EventWriter, recording: Recording) -> Mapping[str, int]:
-    """Write a recording; return the losses."""
-    clear(writer.path)
-    with writer:
-        for packet in recording.packets():
-            writer.add(packet)
-    return writer.losses
-
-
-def write_raw(path: str | os.PathLike[str], recording: Recording, *,
-              encoding: str = "evt3") -> Mapping[str, int]:
-    """Write events and triggers as Prophesee's RAW, in EVT2 or EVT3."""
-    if encoding not in ("evt2", "evt3"):
-        raise ValueError(f"encoding of RAW must be evt2 or evt3, got {encoding!r}")
-    return _written(_RawWriter(path, recording, encoding), recording)
-
-
-def write_es(path: str | os.PathLike[str], recording: Recording) -> Mapping[str, int]:
-    """Write events as an Event Stream."""
-    return _written(_StreamWriter(path, recording), recording)
-
-
-def write_text(path: str | os.PathLike[str], recording: Recording) -> Mapping[str, int]:
-    """Write events as lines of text, times in us."""
-    return _written(_TextWriter(path, recording), recording)
-
-
-def write_numpy(path: str | os.PathLike[str], recording: Recording
-                ) -> Mapping[str, int]:
-    """Write events as an array of EVENT_DTYPE, ``.npy``."""
-    return _written(_NumpyWriter(path, recording), recording)
-
-
-def write_parquet(path: str | os.PathLike[str], recording: Recording
-                  ) -> Mapping[str, int]:
-    """Write events as a table with columns t (us), x, y, p."""
-    return _written(_ParquetWriter(path, recording), recording)

@@ -35,11 +35,8 @@ class _Column:
     name: str
     starts: NDArray[np.int64]
     kind: str
+    shape: tuple[int]
     _group: tuple[int, NDArray[Any] | None] = -1, None
-
-    @property
-    def shape(self) -> tuple[int]:
-        return (int(self.starts[-1]),)
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -90,5 +87,6 @@ class ParquetRecording(NumpyRecording):
                   for k in range(table.num_row_groups)]
         starts = np.cumsum([0, *groups], dtype=np.int64)
         return {field.name.lower(): _Column(
-            table, field.name, starts, np.dtype(field.type.to_pandas_dtype()).kind)
+            table, field.name, starts, np.dtype(field.type.to_pandas_dtype()).kind,
+            (int(starts[-1]),))
             for field in table.schema_arrow}

@@ -73,13 +73,13 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
         suffixes=(".raw", ".dat"), by_ranges=True,
         sniff=f"{_ROOM}.prophesee:is_prophesee",
         reader=f"{_ROOM}.prophesee:PropheseeRecording",
-        writer=f"{_ROOM}.event_writers:write_raw", written=(".raw",),
+        writer=f"{_ROOM}.event_writers:RawWriter.write", written=(".raw",),
         write_options=("encoding",)),
     Format(
         name="es", title="Event Stream", holds=_EVENTS, suffixes=(".es",),
         by_ranges=True, magic=(b"Event Stream",),
         reader=f"{_ROOM}.event_stream:EventStreamRecording",
-        writer=f"{_ROOM}.event_writers:write_es"),
+        writer=f"{_ROOM}.event_writers:StreamWriter.write"),
     Format(
         name="rosbag", title="ROS 1 and ROS 2 bags", extra="ros",
         suffixes=(".bag", ".db3", ".mcap"), folder="metadata.yaml",
@@ -93,12 +93,12 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
         suffixes=(".csv", ".txt"), sniff=f"{_ROOM}.text_form:is_text_events",
         read_options=("columns",),
         reader=f"{_ROOM}.event_lists:TextRecording",
-        writer=f"{_ROOM}.event_writers:write_text"),
+        writer=f"{_ROOM}.event_writers:TextWriter.write"),
     Format(
         name="parquet", title="Parquet", holds=_EVENTS, extra="parquet",
         suffixes=(".parquet",), magic=(b"PAR1",),
         reader=f"{_ROOM}.parquet:ParquetRecording",
-        writer=f"{_ROOM}.event_writers:write_parquet"),
+        writer=f"{_ROOM}.event_writers:ParquetWriter.write"),
     Format(
         name="images", title="video or images of a polarization camera",
         holds=frozenset(("frames",)), needs_layout=True, extra="frames",
@@ -109,7 +109,7 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
         name="numpy", title="NumPy arrays of events", holds=_EVENTS,
         suffixes=(".npy", ".npz"), magic=(b"\x93NUMPY", b"PK\x03\x04"),
         reader=f"{_ROOM}.event_lists:NumpyRecording",
-        writer=f"{_ROOM}.event_writers:write_numpy", written=(".npy",)))}, Format)
+        writer=f"{_ROOM}.event_writers:NumpyWriter.write", written=(".npy",)))}, Format)
 """The formats by name, in the order in which they are tried on a file."""
 
 

@@ -1,6 +1,7 @@
 """Write HDF5 in the layouts of E2P and rpg (events and frames) and DSEC (events)."""
 from __future__ import annotations
 
+import functools
 import os
 from collections import Counter
 from collections.abc import Mapping
@@ -199,16 +200,6 @@ def _append(data: Any, rows: NDArray[Any]) -> None:
     data[n:] = rows
 
 
-def write_e2p(path: str | os.PathLike[str], recording: Recording) -> Mapping[str, int]:
-    """Write HDF5 in the layout of E2P; see `write_hdf5`."""
-    return write_hdf5(path, recording, flavour="e2p")
-
-
-def write_dsec(path: str | os.PathLike[str], recording: Recording) -> Mapping[str, int]:
-    """Write HDF5 in the layout of DSEC; see `write_hdf5`."""
-    return write_hdf5(path, recording, flavour="dsec")
-
-
-def write_rpg(path: str | os.PathLike[str], recording: Recording) -> Mapping[str, int]:
-    """Write HDF5 in the layout of rpg; see `write_hdf5`."""
-    return write_hdf5(path, recording, flavour="rpg")
+write_e2p = functools.partial(write_hdf5, flavour="e2p")
+write_dsec = functools.partial(write_hdf5, flavour="dsec")
+write_rpg = functools.partial(write_hdf5, flavour="rpg")
