@@ -277,6 +277,52 @@ PDAVIS_CLONES PDAVIS_UNUSED static void rest_row(
                     bends + i);
 }
 
+/* Let a row of quiet pixels pass a frame (see `pass_one`): predict and update level and
+   covariance (upper row), where there is a sample z (variance > 0); noise is (8). */
+PDAVIS_CLONES PDAVIS_UNUSED static void pass_row(
+    const float *restrict z, const float *restrict variance,
+    const float *restrict said, const double *restrict noise, ptrdiff_t n,
+    float *restrict log, float *restrict p0, float *restrict p1, float *restrict p2,
+    float *restrict motion)
+{
+    ptrdiff_t i;
+    for (i = 0; i < n; i++) {
+        double r = variance[i], e = z[i] - log[i], k;
+        float level = (float)(log[i] + (double)said[i]);
+        float moved = (float)(motion[i] + (e * e - motion[i]) / PD_HOT_MEMORY);
+        float p = (float)(p0[i] + noise[i]);
+        int seen = r > 0.0;
+        e = z[i] - level;
+        p = seen && e * e > PD_GATE * (p + r) ? (float)(p + e * e) : p;
+        k = p * (1.0 / (p + r));
+        log[i] = seen ? (float)(level + k * e) : level;
+        p0[i] = seen ? (float)(k * r) : p;
+        p1[i] = seen ? (float)(p1[i] - k * p1[i]) : p1[i];
+        p2[i] = seen ? (float)(p2[i] - k * p2[i]) : p2[i];
+        motion[i] = seen ? moved : motion[i];
+    }
+}
+
+/* Carry estimates b of quiet pixels, with their variances v (< 0: none), back from the
+   frame after (see `back_one`), whose `said` and `noise` are given, and join samples. */
+PDAVIS_CLONES PDAVIS_UNUSED static void back_row(
+    const float *restrict z, const float *restrict variance,
+    const float *restrict said, const double *restrict noise, ptrdiff_t n,
+    double *restrict b, double *restrict v)
+{
+    ptrdiff_t i;
+    for (i = 0; i < n; i++) {
+        double r = variance[i], e, old = b[i], all = v[i];
+        int had = all > 0.0, seen = r > 0.0, anew;
+        old = had ? old - said[i] : old;
+        all = had ? all + noise[i] : all;
+        e = z[i] - old;
+        anew = !had || e * e > PD_GATE * (all + r);
+        b[i] = !seen ? old : anew ? z[i] : old + all / (all + r) * e;
+        v[i] = !seen ? all : anew ? r : all * r / (all + r);
+    }
+}
+
 /* A row of an image: planes (level at the epoch, its slope, variance, its slope and
    curvature per s) and the lamp's ripple, to ln light, which is what other pixels say
    before, its variance and validity. */

@@ -52,6 +52,11 @@ cdef extern from "_increments.h" nogil:
     void rest_row(const double* m0, const double* m1, double epoch, double alpha,
                   Py_ssize_t n, float* level, float* slope, float* variance,
                   float* grows, float* bends)
+    void pass_row(const float* z, const float* variance, const float* said,
+                  const double* noise, Py_ssize_t n, float* log, float* p0, float* p1,
+                  float* p2, float* motion)
+    void back_row(const float* z, const float* variance, const float* said,
+                  const double* noise, Py_ssize_t n, double* b, double* v)
     void show_row(const float* level, const float* slope, const float* variance,
                   const float* grows, const float* bends,
                   float since, float ripple, float most, Py_ssize_t n, float* log,

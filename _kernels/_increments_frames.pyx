@@ -1,12 +1,13 @@
 """Frames of the filter of log intensity (_increments.pyx)."""
 from libc.math cimport NAN, fabs
 from libc.stdint cimport int32_t, int64_t
-from libc.stdlib cimport free, malloc
+from libc.stdlib cimport calloc, free, malloc
 from libc.string cimport memset
 
 from _kernels._increments cimport (
     CLAIM, GATE, HOT_MEMORY, LEARN_EVENTS, LESS, MORE, NEVER, PRIOR_ODDS, QUIET, SHOWN,
-    anchor_t, camera_of, camera_t, mean_at, node_t, pixel_t, stored_t)
+    anchor_t, back_row, camera_of, camera_t, mean_at, node_t, pass_row, pixel_t,
+    stored_t)
 from _kernels._increments_frames cimport (
     around_of, frame_of, frame_t, lags_of, lags_t, node_of, open_since)
 from _kernels._lamp cimport lamp_of, lamp_t
@@ -88,6 +89,10 @@ def increments_pass(tuple old not None, tuple new not None,
     cdef const camera_t* c = camera_of(camera)
     cdef frame_t a, b
     cdef node_t none
+    cdef anchor_t* one
+    cdef float* row
+    cdef double* seconds
+    cdef double* noise
     cdef bint quiet
     first, last = bands
     frame_of(old, h, w, &a)
@@ -96,15 +101,36 @@ def increments_pass(tuple old not None, tuple new not None,
             or due.shape[1] != w):
         raise ValueError("increments_pass: all images must have one shape")
     memset(&none, 0, sizeof(node_t))
+    seconds = <double*>malloc(w * (2 * sizeof(double) + 5 * sizeof(float)))
+    if seconds == NULL:
+        raise MemoryError
+    noise, row = seconds + w, <float*>(seconds + 2 * w)
     with nogil:
+        for x in range(w):
+            seconds[x] = 1e-6 * <double>(b.middle[x] - a.middle[x])
+            noise[x] = c.alpha * fabs(seconds[x])
         for y in range(first, last):
             for x in range(w):
+                one = &anchors[y, x]
+                row[x], row[w + x], row[2 * w + x] = one.log, one.p[0], one.p[1]
+                row[3 * w + x], row[4 * w + x] = one.p[2], one.motion
+            at = y * w
+            pass_row(b.log + at, b.variance + at, b.said + at, noise, w, row, row + w,
+                     row + 2 * w, row + 3 * w, row + 4 * w)
+            for x in range(w):
                 at = y * w + x
+                one = &anchors[y, x]
                 quiet = due[y, x] == QUIET
-                middles[y, x] = pass_one(
-                    &none if quiet else a.nodes + at, &none if quiet else b.nodes + at,
-                    b.log[at], b.variance[at], b.said[at],
-                    1e-6 * <double>(b.middle[x] - a.middle[x]), c, &anchors[y, x])
+                if quiet and one.sampled > 0.0:
+                    one.log, one.p[0], one.p[1] = row[x], row[w + x], row[2 * w + x]
+                    one.p[2], one.motion = row[3 * w + x], row[4 * w + x]
+                    middles[y, x] = one.log if b.variance[at] > 0.0 else NAN
+                else:
+                    middles[y, x] = pass_one(
+                        &none if quiet else a.nodes + at,
+                        &none if quiet else b.nodes + at, b.log[at], b.variance[at],
+                        b.said[at], seconds[x], c, one)
+    free(seconds)
 
 
 cdef inline float pass_one(const node_t* old, const node_t* new, float log,
@@ -183,41 +209,56 @@ def increments_back(list frames not None, const int64_t[:, ::1] due not None,
     back is (log, variance) of ln(I + black) at the first; a variance < 0 is of no
     estimate.
     """
-    cdef Py_ssize_t i, y, x, first, last, n = len(frames)
+    cdef Py_ssize_t i, y, x, at, first, last, n = len(frames)
     cdef Py_ssize_t h = anchors.shape[0], w = anchors.shape[1]
     cdef const camera_t* c = camera_of(camera)
     cdef frame_t* all_
+    cdef double* noise
+    cdef double* b
+    cdef double* v
     first, last = bands
     if (back.shape[0] != 2 or back.shape[1] != h or back.shape[2] != w
             or due.shape[0] != h or due.shape[1] != w):
         raise ValueError("increments_back: all images must have one shape")
-    all_ = <frame_t*>malloc(max(n, 1) * sizeof(frame_t))
-    if all_ == NULL:
-        raise MemoryError
+    all_ = <frame_t*>malloc((n + 1) * sizeof(frame_t))
+    noise = <double*>calloc((n + 3) * w, sizeof(double))
+    b, v = noise + (n + 1) * w, noise + (n + 2) * w
     try:
+        if all_ == NULL or noise == NULL:
+            raise MemoryError
         for i in range(n):
             frame_of(frames[i], h, w, all_ + i)
         with nogil:
-            for y in range(first, last):
+            for i in range(1, n):
                 for x in range(w):
-                    back_one(all_, n, y * w + x, x, due[y, x] == QUIET, c,
-                             &anchors[y, x], &back[0, y, x], &back[1, y, x])
+                    noise[i * w + x] = c.alpha * fabs(
+                        1e-6 * <double>(all_[i].middle[x] - all_[i - 1].middle[x]))
+            for y in range(first, last):
+                at = y * w
+                for x in range(w):
+                    b[x], v[x] = 0.0, -1.0
+                for i in range(n - 1, -1, -1):
+                    back_row(all_[i].log + at, all_[i].variance + at,
+                             all_[min(i + 1, n - 1)].said + at, noise + (i + 1) * w, w,
+                             b, v)
+                for x in range(w):
+                    if due[y, x] != QUIET:
+                        back_one(all_, n, at + x, x, c, &anchors[y, x], b + x, v + x)
+                    back[0, y, x], back[1, y, x] = <float>b[x], <float>v[x]
     finally:
         free(all_)
+        free(noise)
 
 
 cdef inline void back_one(const frame_t* frames, Py_ssize_t n, Py_ssize_t at,
-                          Py_ssize_t x, bint quiet, const camera_t* c,
-                          const anchor_t* a, float* log,
-                          float* variance) noexcept nogil:
+                          Py_ssize_t x, const camera_t* c, const anchor_t* a,
+                          double* log, double* variance) noexcept nogil:
     cdef between_t step
     cdef bint hot = a.hot > PRIOR_ODDS
     cdef double b = 0.0, v = -1.0, e, r
     cdef const frame_t* f
     cdef const frame_t* old
-    cdef node_t none
     cdef Py_ssize_t i
-    memset(&none, 0, sizeof(node_t))
     for i in range(n - 1, -1, -1):
         f = frames + i
         if v > 0.0 and hot:
@@ -228,8 +269,7 @@ cdef inline void back_one(const frame_t* frames, Py_ssize_t n, Py_ssize_t at,
             v += step.noise
         if i > 0:
             old = f - 1
-            step = between(&none if quiet else old.nodes + at,
-                           &none if quiet else f.nodes + at, f.said[at],
+            step = between(old.nodes + at, f.nodes + at, f.said[at],
                            1e-6 * <double>(f.middle[x] - old.middle[x]), c)
         if f.variance[at] > 0.0:
             e = f.log[at] - b
@@ -241,7 +281,7 @@ cdef inline void back_one(const frame_t* frames, Py_ssize_t n, Py_ssize_t at,
             else:
                 b += v / (v + r) * e
                 v = v * r / (v + r)
-    log[0], variance[0] = <float>b, <float>v
+    log[0], variance[0] = b, v
 
 
 def increments_close(const pixel_t[:, ::1] pixels not None,
