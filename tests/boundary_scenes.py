@@ -64,7 +64,7 @@ def kinds():
             "shutter": "global", "adc_bits": 10, "full_well_dn": 760.0,
             "reset_dn": 850.0, "reset_fpn_dn": 24.0, "offset_fpn_dn": 2.0,
             "ktc_dn": 3.0, "read_noise_dn": 1.5, "electrons_per_dn": 80.0,
-            "dark_dn_s": 15.0, "black_level_dn": 30.0, "storage_leak": 0.01}),
+            "dark_dn_s": 15.0, "black_level_dn": 30.0}),
         ("bus", s.Bus, {"rate_hz": 1e7, "row_us": 0.1}),
         ("faults", s.Faults, {"frame_offset_us": -5000, "jitter_us": 10.0, "lost": 0.1,
                               "drift_on": 0.1, "drift_off": 0.1}),

@@ -379,15 +379,6 @@ def test_rolling_shutter_exposes_columns_one_after_the_other():
         assert frame.dn[2, x] == pytest.approx(20 * mean, rel=1e-6)
 
 
-def test_storage_leaks_light_while_a_frame_waits_for_read_out():
-    scene = FlatLight(s0=40.0)
-    camera = Camera.preset("ideal", size=(2, 12), dvs=None,
-                           aps={"storage_leak": 0.01})
-    _, frames = drain(camera.record(scene, 0.1)[0])
-    waits = np.arange(12)  # ms
-    np.testing.assert_allclose(frames[0].dn[0], 20 * (20 + 0.01 * waits), rtol=1e-6)
-
-
 def test_malus_fit_recovers_the_extinction_ratio():
     # As the paper measures it: 5 degree steps, frames at rest, cosine fit per pixel.
     camera = Camera.preset("nominal", size=(60, 60), dvs=None,

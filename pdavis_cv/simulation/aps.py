@@ -66,9 +66,6 @@ class ApsPixel:
     black_level_dn : float
         What a frame reads too little, DN; below it, it reads 0.  Events follow the log
         of all the light, so frames and events disagree where it is dim.
-    storage_leak : float
-        Global shutter: parasitic sensitivity of the storage node, relative to the
-        photodiode's, while a sample waits for its column to be read; 0..1.
     """
 
     fps: float = 20.0
@@ -85,7 +82,6 @@ class ApsPixel:
     electrons_per_dn: float | None = None
     dark_dn_s: float = 0.0
     black_level_dn: float = 0.0
-    storage_leak: float = 0.0
 
     def __post_init__(self) -> None:
         python_numbers(self)
@@ -99,7 +95,6 @@ class ApsPixel:
                offset_fpn_dn=self.offset_fpn_dn, dark_dn_s=self.dark_dn_s,
                read_noise_dn=self.read_noise_dn,
                black_level_dn=self.black_level_dn, **optional)
-        within(0, 1, storage_leak=self.storage_leak)
         within(0, math.inf, full_well_dn=self.full_well_dn)
         require("full_well_dn", self.full_well_dn, self.full_well_dn > 0, "be positive")
         require("exposure_us", self.exposure_us, self.exposure_us * self.fps <= 1e6,
@@ -252,16 +247,12 @@ class FrameClock:
         kept = [(n, t) for n, t in times if start_us - width_us < t < stop_us]
         return (np.array([t for _, t in kept], np.float64), kept[0][0] if kept else 0)
 
-    def column_delays(self) -> FloatArray:
-        """Delay of each column's read-out (rolling shutter: exposure), us, (W,)."""
-        return np.arange(self.width, dtype=np.float64) * (
-            self.pixel.readout_us / self.width)
-
     def exposure(self, frame: int) -> tuple[FloatArray, FloatArray]:
         """Start and end of each column's exposure, us; shape (1,) if all are equal."""
         start = np.array([float(self.start_us(frame))])
         if self.pixel.shutter == "rolling":
-            start = np.rint(start + self.column_delays())
+            start = np.rint(start + np.arange(self.width) * (
+                self.pixel.readout_us / self.width))
         return start, start + self.pixel.exposure_us
 
     def weights(
@@ -286,12 +277,7 @@ class FrameClock:
             Per column where columns differ; DN = sum of weights times DN per ms.
         """
         start, end = self.exposure(frame)
-        total = integral_weights(start, end, start_us, step_us, intervals, linear)
-        leak = self.pixel.storage_leak
-        if leak and self.pixel.shutter == "global":
-            total = total + leak * integral_weights(
-                end, end + self.column_delays(), start_us, step_us, intervals, linear)
-        return total
+        return integral_weights(start, end, start_us, step_us, intervals, linear)
 
 
 def node_slopes(light: FloatArray) -> FloatArray:
