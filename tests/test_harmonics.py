@@ -306,6 +306,7 @@ def test_a_second_harmonic_that_falls_on_the_fundamental_is_said():
     locked = fitted(light, 10.0, fps=30.0)
     assert locked.regions[0].wave(of_dolp).amplitude[0] != pytest.approx(0.05, rel=0.01)
     assert "cannot tell the second harmonic of 10 Hz" in locked.doubt
+    assert "cannot tell the third harmonic" in fitted(light, 10.0, fps=40.0).doubt
     free = fitted(light, 10.0, fps=31.0)
     assert not free.doubt
     assert free.regions[0].wave(of_dolp).amplitude[0] == pytest.approx(0.05, rel=0.01)

@@ -139,11 +139,13 @@ def fit_periodic(
         else:
             reasons.append(
                 _unsteady(law, t_us, one, exposure_us, wave, quantity))
-    off = abs(3 * law.hz - rate * round(3 * law.hz / rate))
-    doubt = "" if off * seconds > 1 else (
-        f"{rate:.4g} frames per second cannot tell the second harmonic of "
-        f"{law.hz:.4g} Hz from the fundamental, which it falsifies: change the load or "
-        "the frame rate by 1 %")
+    doubt = ""
+    for name, multiple in (("third", 4 * law.hz), ("second", 3 * law.hz)):
+        if abs(multiple - rate * round(multiple / rate)) * seconds < 1:
+            doubt = (
+                f"{rate:.4g} frames per second cannot tell the {name} harmonic of "
+                f"{law.hz:.4g} Hz from the fundamental, which it falsifies: change the "
+                "load or the frame rate by 1 %")
     return Periodic(law, harmonics, degree, tuple(regions), tuple(reasons), doubt)
 
 
