@@ -187,10 +187,9 @@ class KalmanFilter(Reconstructor):
         self._back: NDArray[np.float32] | None = None
         self._fresh, self._hot = False, None
         self._scratch: tuple[int, int, KalmanFilter] | None = None
-        last = self._pixels["newest"]
+        last, lit = self._pixels["newest"], self._lit
         quiet = (self._pixels["next"] < 0) & (self._anchors["hot"] <= _HOT) & (
-            (last["run"] == 0) | (last["t"] == self._pixels["quiet_t"]))
-        quiet &= not self._lit
+            (last["run"] == 0) | (last["t"] == self._pixels["quiet_t"])) & (not lit)
         self._due[:] = np.where(quiet, _QUIET, _CHANGED)
         self._woken = int(np.count_nonzero(~quiet))
         self._awake[:self._woken] = np.flatnonzero(~quiet)
@@ -416,6 +415,7 @@ class KalmanFilter(Reconstructor):
             if frame.known_us is not None:
                 self._evaluate(frame, rested[:n])
         self._around.reshape(3, -1)[:, rested[:n]] = 0
+        self._awake[:self._woken].sort()    # neighbours are near in memory
 
     def _look(self, frame: Waiting, until_us: int) -> None:
         """Evaluate the exposure of a frame by the events before a time of the stream.
