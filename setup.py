@@ -49,7 +49,6 @@ KERNELS = (
     "_samples",
     "_scenes",
     "_simulate",
-    "_store",
     "_turning",
 )
 SOURCE_TREE_ONLY = ("_floor",)  # what lab/bench compares with: no user needs it
@@ -60,13 +59,10 @@ SHARED = (
     "_curves.h",
     "_degree.h",
     "_double.pxd",
-    "_estimate.pxd",
-    "_extrapolation.h",
     "_guided.h",
     "_increments.h",
     "_increments.pxd",
     "_increments_frames.pxd",
-    "_lag.pxd",
     "_lamp.h",
     "_lamp.pxd",
     "_line.h",
@@ -82,7 +78,6 @@ SHARED = (
     "_samples.h",
     "_scenes.h",
     "_stencil.h",
-    "_tracks.pxd",
     "_types.pxd",
     "_weighted.pxd",
 )

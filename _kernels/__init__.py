@@ -86,7 +86,6 @@ from ._scenes import (
     texture_stokes,
 )
 from ._simulate import pixel_events
-from ._store import store_commit, store_link, store_push, store_unlink
 from ._turning import turning_events, turning_learn, turning_read
 
 __all__ = [name for name in dir() if name[0] != "_"]

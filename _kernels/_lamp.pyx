@@ -8,7 +8,6 @@ gives them (docs/theory/lamp.md).
 from libc.stdint cimport int64_t
 
 from _kernels._lamp cimport BLOCK_US, QUARTER_TURN, cos_turns
-from _kernels._tracks cimport never
 from _kernels._types cimport event_t
 
 cdef enum:
@@ -124,7 +123,7 @@ cdef inline void add_triple(int64_t first, int64_t second, int64_t third, double
     cdef double[2 * TIMES][RATES] wave
     cdef int64_t phase
     cdef int i, k
-    if never(a) or c - a < SPAN_LEAST_US or c - a > SPAN_MOST_US:
+    if c - a < SPAN_LEAST_US or c - a > SPAN_MOST_US:
         return
     gap = <double>(c - a)
     s = <double>(b - a) / gap

@@ -5,14 +5,16 @@ I_i = a_i exp(E_i), where E_i is the sum of events, this is linear in the unknow
 a.  For equal relative errors the solution is the eigenvector of the smallest eigenvalue
 of the moments of n_i exp(E_i).  See docs/theory/events.md.
 """
-from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t
+from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t, uint32_t
 from libc.string cimport memset
 
-from _kernels._estimate cimport log_at
-from _kernels._lamp cimport lamp_of, lamp_t
+from _kernels._increments cimport (
+    NEVER, camera_of, camera_t, drift_of, lead_of, look, look_t, part_of, pixel_t,
+    stored_t)
+from _kernels._increments_frames cimport corner_of
+from _kernels._lamp cimport lamp_flickers, lamp_of, lamp_t, ripple
 from _kernels._math cimport exp_f, log_f
-from _kernels._model cimport (
-    check_given, state_t, stored_t, track_t, tuning_t, wave_t)
+from _kernels._model cimport check_given, wave_t
 from _kernels._types cimport event_t
 
 cdef extern from "_prefetch.h" nogil:
@@ -28,6 +30,15 @@ cdef packed struct policy_t:
     double line_error       # error of a line through N periods, in 1 / (2 N)^2
     double far_errors       # such errors beyond which a pixel is an outlier
     double part_least       # bounds the fraction of ON, and of OFF, events
+
+cdef packed struct state_t:
+    double base             # ln intensity at the last comparison, up to an offset
+    double theta_off
+    double theta_on
+    double prior_off        # thresholds as stated
+    double prior_on
+    double count_off        # events up to the last comparison, as the store counts
+    double count_on
 
 cdef packed struct balance_t:
     # Running regression of a pixel's ON events on all its events: weight, means
@@ -148,94 +159,130 @@ cdef inline void add_moments(moments_t* m, const double* value,
     m.since += 1.0
 
 
-def redundancy_sample(int64_t t, int64_t known, chain not None,
-                      const stored_t[::1] events not None, model not None,
+cdef inline double log_at(int64_t t, int64_t known, const stored_t* store,
+                          const camera_t* c, const lamp_t* lamp, const pixel_t* p,
+                          const state_t* s, double* passed) noexcept nogil:
+    """Log intensity at t, using the events up to known >= t; `passed` receives the
+    signed counts of OFF and ON events since the last comparison."""
+    cdef look_t at
+    cdef double[2] part, rate
+    cdef double level, slope = 0.0, rise, hz, before
+    look(p, store, t, known, c, &at)
+    passed[0] = at.count[0] - s.count_off
+    passed[1] = at.count[1] - s.count_on
+    level = s.base + s.theta_off * passed[0] + s.theta_on * passed[1]
+    if at.around.sign == 0:
+        return level
+    if lamp.blocks > 0:
+        hz = c.hz + corner_of(level, c)
+        before = ripple(lamp, hz, <double>at.last, &slope)
+        at.around.flickers = lamp_flickers(lamp, <double>at.last, <double>at.last)
+        if at.next != NEVER:
+            at.around.drift = before - ripple(lamp, hz, <double>at.next, &slope)
+        level += ripple(lamp, hz, <double>t, &slope) - before
+    part_of(&at.around, c, part, rate)
+    level += (s.theta_off * part[0] + s.theta_on * part[1]
+              + drift_of(&at.around, c, &rise))
+    slope += s.theta_off * rate[0] + s.theta_on * rate[1] + rise
+    if slope == 0.0:
+        return level
+    return level + lead_of(slope, exp_f(<float>level), c)
+
+
+def redundancy_sample(int64_t t, int64_t known, recent not None, model not None,
                       const policy_t[::1] policy not None, cells not None):
     """Add the intensities at t to the moments; move the counts to the states.
 
-    chain is (store, tracks that chain the events after those counted), model (tuning,
-    waves), cells (states, balance, moments).  events are those counted since the last
-    comparison: only their macropixels change.
+    recent is (store, pixels, first, last): the events first <= i < last have been
+    committed since the last comparison, so only their macropixels change.  model is
+    (numbers of a `PixelModel`, waves), cells (states, balance, moments).
     """
     cdef const stored_t[::1] store
-    cdef track_t[:, ::1] tracks
-    cdef const tuning_t[::1] tuning
+    cdef pixel_t[:, ::1] pixels
+    cdef const double[::1] numbers
     cdef const wave_t[::1] waves
     cdef state_t[:, ::1] states
     cdef balance_t[:, ::1] balance
     cdef moments_t[:, ::1] moments
-    cdef Py_ssize_t h, w, i, y, x, k
+    cdef const camera_t* c
+    cdef Py_ssize_t h, w, first, last, i, k
+    cdef uint32_t at, y, x, width
     cdef lamp_t lamp
-    check_given((*chain, *model, *cells))
-    store, tracks = chain
-    tuning, waves = model
+    check_given((*recent[:2], *model, *cells))
+    store, pixels, first, last = recent
+    numbers, waves = model
     states, balance, moments = cells
-    h = tracks.shape[0]
-    w = tracks.shape[1]
+    h = pixels.shape[0]
+    w = pixels.shape[1]
+    width = <uint32_t>w
     if (states.shape[0] != h or states.shape[1] != w or balance.shape[0] != h
             or balance.shape[1] != w or moments.shape[0] != h // 2
             or moments.shape[1] != w // 2):
         raise ValueError("redundancy_sample: all images must have one shape")
-    if tuning.shape[0] != 1 or policy.shape[0] != 1 or store.shape[0] == 0:
+    if policy.shape[0] != 1 or first < 0 or last > store.shape[0]:
         raise ValueError("redundancy_sample: an array has a wrong length")
+    c = camera_of(numbers)
     lamp = lamp_of(waves)
     with nogil:
-        for i in range(events.shape[0]):
-            if i + CELLS_AHEAD < events.shape[0]:
-                y = events[i + CELLS_AHEAD].y // 2 * 2
-                x = events[i + CELLS_AHEAD].x // 2 * 2
+        for i in range(first, last):
+            if i + CELLS_AHEAD < last:
+                at = <uint32_t>store[i + CELLS_AHEAD].pixel
+                y = at // width // 2 * 2
+                x = at % width // 2 * 2
                 if y + 1 < h and x + 1 < w:
                     prefetch_all(&moments[y // 2, x // 2], sizeof(moments_t))
                     for k in range(2):
-                        prefetch_all(&tracks[y + k, x], 2 * sizeof(track_t))
+                        prefetch_all(&pixels[y + k, x], 2 * sizeof(pixel_t))
                         prefetch_all(&states[y + k, x], 2 * sizeof(state_t))
                         prefetch_all(&balance[y + k, x], 2 * sizeof(balance_t))
-            if events[i].y < h // 2 * 2 and events[i].x < w // 2 * 2:
-                sample_cell(t, known, &store[0], events[i].y // 2 * 2,
-                            events[i].x // 2 * 2, &tuning[0], &policy[0], &lamp, tracks,
+            at = <uint32_t>store[i].pixel
+            y = at // width // 2 * 2
+            x = at % width // 2 * 2
+            if y + 1 < h and x + 1 < w:
+                sample_cell(t, known, &store[0], y, x, c, &policy[0], &lamp, pixels,
                             states, balance, moments)
 
 
 cdef void sample_cell(int64_t t, int64_t known, const stored_t* store, Py_ssize_t y0,
-                      Py_ssize_t x0, const tuning_t* tuning, const policy_t* policy,
-                      const lamp_t* lamp, track_t[:, ::1] tracks,
+                      Py_ssize_t x0, const camera_t* c, const policy_t* policy,
+                      const lamp_t* lamp, const pixel_t[:, ::1] pixels,
                       state_t[:, ::1] states, balance_t[:, ::1] balance,
                       moments_t[:, ::1] moments) noexcept nogil:
-    """Sample one macropixel, unless its counts are 0: then it has been done."""
+    """Sample one macropixel, unless its counts are those of the last comparison."""
     cdef double value[4]
+    cdef double[4][2] passed
     cdef float log[4]
-    cdef double level = 0.0, loss, n_on, n_off
+    cdef double level = 0.0, loss
     cdef bint quiet = True
     cdef Py_ssize_t y, x
-    cdef track_t* track
     cdef state_t* s
     cdef int i
     for i in range(4):
-        track = &tracks[y0 + i // 2, x0 + i % 2]
-        if track.n_on != 0 or track.n_off != 0:
+        y = y0 + i // 2
+        x = x0 + i % 2
+        s = &states[y, x]
+        if (pixels[y, x].at.count[0] != s.count_off
+                or pixels[y, x].at.count[1] != s.count_on):
             quiet = False
     if quiet:
         return
     for i in range(4):
         y = y0 + i // 2
         x = x0 + i % 2
-        log[i] = <float>log_at(t, known, store, tuning, lamp, &tracks[y, x],
-                               &states[y, x])
+        log[i] = <float>log_at(t, known, store, c, lamp, &pixels[y, x], &states[y, x],
+                               passed[i])
         level += CHANNEL_SHARE * log[i]
     loss = level * policy.loss
     for i in range(4):
         y = y0 + i // 2
         x = x0 + i % 2
         value[i] = balance[y, x].null * exp_f(<float>(log[i] - level))
-        track = &tracks[y, x]
         s = &states[y, x]
-        n_on = track.n_on
-        n_off = track.n_off
-        s.base += s.theta_on * n_on - s.theta_off * n_off - loss
-        track.n_on = 0
-        track.n_off = 0
-        if n_on + n_off > 0.0:
-            remember(&balance[y, x], n_on, n_off, policy.forget)
+        s.base += s.theta_off * passed[i][0] + s.theta_on * passed[i][1] - loss
+        s.count_off += passed[i][0]
+        s.count_on += passed[i][1]
+        if passed[i][0] != 0.0 or passed[i][1] != 0.0:
+            remember(&balance[y, x], passed[i][1], -passed[i][0], policy.forget)
             rebalance(&balance[y, x], policy, s)
     add_moments(&moments[y0 // 2, x0 // 2], value, policy.keep)
 
@@ -301,37 +348,39 @@ cdef inline void apply_gains(const cells_t* cells, const Py_ssize_t* row,
             m.product[i] = cells.product[i][k]
 
 
-def redundancy_read(int64_t t, int64_t known, chain not None, model not None,
+def redundancy_read(int64_t t, int64_t known, recent not None, model not None,
                     const state_t[:, ::1] states not None, rows not None,
                     float[:, ::1] log not None):
     """Write log intensity at t to rows (first, last), using events up to known >= t.
 
-    chain is (store, tracks that chain the events after those counted), model (tuning,
-    waves).
+    recent is (store, pixels), model (numbers of a `PixelModel`, waves).
     """
     cdef const stored_t[::1] store
-    cdef const track_t[:, ::1] tracks
-    cdef const tuning_t[::1] tuning
+    cdef const pixel_t[:, ::1] pixels
+    cdef const double[::1] numbers
     cdef const wave_t[::1] waves
+    cdef const camera_t* c
+    cdef double[2] passed
     cdef Py_ssize_t h = states.shape[0], w = states.shape[1], y, x, first, last
     cdef lamp_t lamp
     first, last = rows
-    check_given((*chain, *model))
-    store, tracks = chain
-    tuning, waves = model
-    if (tracks.shape[0] != h or tracks.shape[1] != w or log.shape[0] != h
+    check_given((*recent, *model))
+    store, pixels = recent
+    numbers, waves = model
+    if (pixels.shape[0] != h or pixels.shape[1] != w or log.shape[0] != h
             or log.shape[1] != w):
         raise ValueError("redundancy_read: all images must have one shape")
-    if tuning.shape[0] != 1 or store.shape[0] == 0:
-        raise ValueError("redundancy_read: tuning or store has a wrong length")
+    if store.shape[0] == 0:
+        raise ValueError("redundancy_read: store must hold records")
     if first < 0 or last > h:
         raise ValueError("redundancy_read: rows must lie in the image")
+    c = camera_of(numbers)
     lamp = lamp_of(waves)
     with nogil:
         for y in range(first, last):
             for x in range(w):
-                log[y, x] = <float>log_at(t, known, &store[0], &tuning[0], &lamp,
-                                          &tracks[y, x], &states[y, x])
+                log[y, x] = <float>log_at(t, known, &store[0], c, &lamp, &pixels[y, x],
+                                          &states[y, x], passed)
 
 
 def redundancy_shown(const moments_t[:, ::1] moments not None,

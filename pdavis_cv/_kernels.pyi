@@ -86,10 +86,6 @@ __all__ = [
     "saturated_fill",
     "sort_events",
     "stokes",
-    "store_commit",
-    "store_link",
-    "store_push",
-    "store_unlink",
     "stream_events",
     "texture_stokes",
     "tone_bgr",
@@ -307,18 +303,6 @@ def mismatch(
 def mix(quad: _F32, solution: _F32, out: _F32) -> None: ...
 def reconcile(quad: _F32, variance: _F32, null: _F32) -> None: ...
 def stokes(quad: _F32, gain: float, out: _F32) -> None: ...
-def store_commit(
-    store: NDArray[Any], at: int, stop: int, until: int, tracks: NDArray[Any],
-) -> int: ...
-def store_link(
-    store: NDArray[Any], start: int, stop: int, tracks: NDArray[Any]
-) -> None: ...
-def store_unlink(
-    store: NDArray[Any], start: int, stop: int, tracks: NDArray[Any]
-) -> None: ...
-def store_push(
-    events: NDArray[Any], last: int, at: int, store: NDArray[Any], h: int, w: int,
-) -> int: ...
 def pixel_events(
     light: NDArray[np.float64], slope: NDArray[np.float64],
     analyser: NDArray[np.float64] | None, pixels: NDArray[np.float64],
@@ -336,13 +320,13 @@ def read_out(
     pending: NDArray[np.uint8], out: NDArray[Any]
 ) -> tuple[int, int, int]: ...
 def redundancy_read(
-    t: int, known: int, chain: tuple[NDArray[Any], NDArray[Any]],
+    t: int, known: int, recent: tuple[NDArray[Any], NDArray[Any]],
     model: tuple[NDArray[Any], NDArray[Any]], states: NDArray[Any],
     rows: tuple[int, int], log: _F32,
 ) -> None: ...
 def redundancy_sample(
-    t: int, known: int, chain: tuple[NDArray[Any], NDArray[Any]],
-    events: NDArray[Any], model: tuple[NDArray[Any], NDArray[Any]],
+    t: int, known: int, recent: tuple[NDArray[Any], NDArray[Any], int, int],
+    model: tuple[NDArray[Any], NDArray[Any]],
     policy: NDArray[Any],
     cells: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
 ) -> None: ...

@@ -227,6 +227,31 @@ def test_eight_threads_may_share_an_iterator():
         np.testing.assert_array_equal(mine.aop, other)
 
 
+def test_the_length_is_not_told_while_another_thread_reads(turning):
+    """Both would read the beginning: `list` asks for the length."""
+    reading, asked = threading.Event(), threading.Event()
+
+    class Reading(Fusion):
+        def advance(self):
+            reading.set()
+            assert not asked.wait(0.2)
+            reading.clear()
+            return super().advance()
+
+        def __len__(self):
+            assert not reading.is_set()
+            asked.set()
+            return super().__len__()
+
+    images = ReadAhead(
+        Reading(turning, threads=2, times_us=range(10_000, 30_000, 1000)))
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(next, images)
+        assert reading.wait(PATIENCE_S)
+        assert pool.submit(len, images).result() == 20
+        assert first.result() is not None
+
+
 def _rest_of(images, queue):
     queue.put([image.aop for image in images])
 

@@ -3,6 +3,7 @@ import pickle
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from reference_increments import Pixel
 from reference_redundancy import (
     FAR_ERRORS,
     LINE_ERROR,
@@ -23,21 +24,18 @@ from pdavis_cv import (
     recording_from_arrays,
 )
 from pdavis_cv.analysis import Scorer
-from pdavis_cv.reconstruct.model import (
-    NO_GAP,
-    STATE_DTYPE,
-    STORED_DTYPE,
-    TRACK_DTYPE,
-    TUNING_DTYPE,
-    WAVE_DTYPE,
-)
+from pdavis_cv.pixel.model import PixelModel
+from pdavis_cv.pixel.silences import table_of
+from pdavis_cv.reconstruct.lamp import WAVE_DTYPE
 from pdavis_cv.reconstruct.redundancy import (
     BALANCE_DTYPE,
     MOMENTS_DTYPE,
     POLICY_DTYPE,
+    STATE_DTYPE,
     EventRedundancy,
     null_of,
 )
+from pdavis_cv.reconstruct.store import EventStore
 from pdavis_cv.simulation import (
     FULL,
     Camera,
@@ -49,7 +47,7 @@ from pdavis_cv.simulation import (
 
 KEEP, SIGMA, PER_EVENT, LOSS = 0.98, 0.06, 1 / 300, 0.006
 PULL, LEAST = 1e-3, 8
-TUNING = np.zeros(1, TUNING_DTYPE)
+NUMBERS = PixelModel(theta=np.ones(2)).numbers
 POLICY = np.array([(KEEP, SIGMA, PER_EVENT, LOSS, PULL, LEAST, LINE_ERROR, FAR_ERRORS,
                     0.05)], POLICY_DTYPE)
 
@@ -66,11 +64,10 @@ def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):
     rows, columns = shape[0] // 2, shape[1] // 2
     null = null_of(None, shape) * rng.uniform(0.9, 1, shape).astype(np.float32)
     prior = rng.uniform(0.1, 0.3, (*shape, 2))
-    states, tracks, balance, moments = arrays(shape)
+    states, store, balance, moments = arrays(shape)
     for part, theta in zip(("on", "off"), np.moveaxis(prior, -1, 0), strict=True):
         states[f"theta_{part}"] = states[f"prior_{part}"] = theta
     balance["null"] = null
-    store = one_event_each(shape)
 
     def of(array, r, c):
         return array[2 * r:2 * r + 2, 2 * c:2 * c + 2].reshape(4, *array.shape[2:])
@@ -85,14 +82,14 @@ def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):
         log = np.log(1 + 0.8 * np.cos(0.3 * k + phase)) - gains + states["base"]
         log = log + rng.normal(0, noise, shape)
         on, off = rng.poisson(0.6, (2, *shape))
-        tracks["n_on"], tracks["n_off"] = on, off
+        store.pixels["at"]["count"] += np.stack([-off, on], -1)
         # The base from which these counts lead to that log.
         states["base"] = log - states["theta_on"] * on + states["theta_off"] * off
         for at, twin in twins.items():
             twin.base = of(states["base"], *at).copy()
         _kernels.redundancy_sample(
-            k, k, (store, tracks), store, (TUNING, np.zeros(0, WAVE_DTYPE)), POLICY,
-            (states, balance, moments))
+            k, k, (store.events, store.pixels, 0, states.size),
+            (NUMBERS, np.zeros(0, WAVE_DTYPE)), POLICY, (states, balance, moments))
         for at, twin in twins.items():
             twin.sample(of(log, *at), of(on, *at), of(off, *at))
         if k % 5 == 4:
@@ -112,41 +109,118 @@ def test_kernels_equal_float64_evaluation(seed, shape, samples, noise):
 
 
 def arrays(shape):
-    """States, tracks, balance and moments of a sensor that has seen nothing."""
-    tracks = np.zeros(shape, TRACK_DTYPE)
-    tracks["last"], tracks["gap"] = -(2**63), NO_GAP
-    tracks["first"] = -1
+    """States, a store with an event of each pixel that tells nothing of what follows,
+    balance and moments of a sensor that has seen nothing."""
+    store = EventStore(shape)
+    store.events["pixel"][:shape[0] * shape[1]] = np.arange(shape[0] * shape[1])
+    store.pixels["at"]["run"] = 1
     moments = np.zeros((shape[0] // 2, shape[1] // 2), MOMENTS_DTYPE)
     moments["ratio"] = moments["smallest"] = 1
-    return (np.zeros(shape, STATE_DTYPE), tracks, np.zeros(shape, BALANCE_DTYPE),
+    return (np.zeros(shape, STATE_DTYPE), store, np.zeros(shape, BALANCE_DTYPE),
             moments)
 
 
-def one_event_each(shape):
-    store = np.zeros(shape[0] * shape[1], STORED_DTYPE)
-    store["y"], store["x"] = (places.ravel() for places in np.indices(shape))
-    store["next"] = -1
-    return store
+@settings(max_examples=60)
+@given(st.integers(0, 10**6), st.integers(0, 300), st.sampled_from([0.05, 0.4, 3.0]),
+       st.sampled_from([(0.0, 0.0), (250.0, 0.0), (20.0, 8.0), (4.0, 0.5)]),
+       st.sampled_from([0, 7, 49_000, 400_000]))
+def test_reading_equals_float64_evaluation(seed, n, seconds, bandwidth, wait):
+    rng = np.random.default_rng(seed)
+    shape, stop = (3, 4), int(1e6 * seconds)
+    events = random_events(n, shape, seed=seed, stop_us=stop)
+    states = np.zeros(shape, STATE_DTYPE)
+    for name in ("theta_on", "theta_off", "base"):
+        states[name] = rng.uniform(0.1, 0.3, shape)
+    end, bow = table_of(wait)
+    model = PixelModel(theta=np.ones(2), bandwidth=bandwidth, end=end, bow=bow)
+    store = EventStore(shape)
+    at = 0
+    for cut in sorted(rng.integers(0, n + 1, 3)):
+        assert store.push(events[at:cut], -1, model.numbers) == cut - at
+        at = cut
+        store.commit(int(events["t"][cut // 2]) if cut else 0)
+    store.push(events[at:], -1, model.numbers)
+    after = int(store.events["t"][store.committed - 1]) if store.committed else 0
+    t = int(rng.integers(after, stop + 600_000))
+    out = np.full(shape, np.nan, np.float32)
+    recent = store.events, store.pixels
+    for rows in ((0, 1), (1, 3)):
+        _kernels.redundancy_read(t, t + wait, recent, (
+            model.numbers, np.zeros(0, WAVE_DTYPE)), states, rows, out)
+    for y, x in np.ndindex(shape):
+        mine = events[(events["y"] == y) & (events["x"] == x)]
+        twin = Pixel(mine["t"], 2 * mine["p"].astype(int) - 1,
+                     events["t"][0] if n else 0, model)
+        theta = np.array([states["theta_off"][y, x], states["theta_on"][y, x]])
+        counts, rates = twin.y(t, t + wait)
+        want = states["base"][y, x] + theta @ counts
+        want += twin.lead(theta @ rates, np.exp(want))
+        assert out[y, x] == pytest.approx(want, abs=4e-3), (y, x)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_moved_out_of_the_store_is_not_missed(seed, monkeypatch):
+    shape = (3, 4)
+    rng = np.random.default_rng(seed)
+    events = random_events(3000, shape, seed=seed)
+    large = EventStore(shape)
+    monkeypatch.setattr("pdavis_cv.reconstruct.store._LEAST", 16)
+    small = EventStore(shape)
+    states = np.zeros(shape, STATE_DTYPE)
+    states["theta_on"] = states["theta_off"] = 0.2
+    at = 0
+    for cut in [*sorted(rng.integers(0, 3000, 40)), 3000]:
+        seen = []
+        for one in (small, large):
+            one.push(events[at:cut], -1, NUMBERS)
+            one.commit(int(events["t"][max(cut - 30, 0)]))
+            out = np.zeros(shape, np.float32)
+            _kernels.redundancy_read(
+                int(events["t"][cut - 1]) if cut else 0, 10**7,
+                (one.events, one.pixels), (NUMBERS, np.zeros(0, WAVE_DTYPE)), states,
+                (0, 3), out)
+            seen.append(out)
+        at = cut
+        np.testing.assert_array_equal(*seen)
+        if cut % 3 == 0:
+            kept = small.state()
+            small = EventStore(shape)
+            small.restore(kept)
+    assert len(small.events) < 1000
+    assert len(large.events) > 10_000
+
+
+def test_the_first_event_that_does_not_fit_stops_the_store():
+    events = random_events(6, (3, 4), seed=1, stop_us=60).copy()
+    events["x"][4] = 4
+    store = EventStore((3, 4))
+    assert store.waiting_us is None
+    assert store.push(events, 10**9, NUMBERS) == 0
+    assert store.push(events, 0, NUMBERS) == 4
+    assert store.waiting_us == events["t"][0]
+    store.commit(int(events["t"][3]))
+    assert store.waiting_us is None
 
 
 def test_kernels_refuse_arrays_that_do_not_fit():
     shape = (4, 4)
-    states, tracks, balance, moments = arrays(shape)
-    store, waves = one_event_each(shape), np.zeros(0, WAVE_DTYPE)
+    states, store, balance, moments = arrays(shape)
+    waves = np.zeros(0, WAVE_DTYPE)
 
-    def sample(tuning, policy, states, balance, moments, store=store):
-        _kernels.redundancy_sample(0, 0, (store, tracks), store, (tuning, waves),
-                                   policy, (states, balance, moments))
+    def sample(numbers, policy, states, balance, moments, last=16):
+        _kernels.redundancy_sample(
+            0, 0, (store.events, store.pixels, 0, last), (numbers, waves), policy,
+            (states, balance, moments))
 
-    shaped = [TUNING, POLICY, states, balance, moments]
+    shaped = [NUMBERS, POLICY, states, balance, moments]
     sample(*shaped)
     for i in range(5):
         wrong = [*shaped]
         wrong[i] = np.concatenate([wrong[i], wrong[i]])
-        with pytest.raises(ValueError, match="redundancy_sample: "):
+        with pytest.raises(ValueError, match=r"redundancy_sample: |numbers must"):
             sample(*wrong)
     with pytest.raises(ValueError, match="redundancy_sample: an array has a wrong"):
-        sample(*shaped, store=store[:0])
+        sample(*shaped, last=10**6)
     with pytest.raises(TypeError, match="must be arrays, got None"):
         sample(*shaped[:-1], None)
     solved = [POLICY, moments, states]
@@ -155,6 +229,14 @@ def test_kernels_refuse_arrays_that_do_not_fit():
         wrong[i] = np.concatenate([wrong[i], wrong[i]])
         with pytest.raises(ValueError, match="redundancy_solve: "):
             _kernels.redundancy_solve(*wrong)
+    out = np.zeros(shape, np.float32)
+    for recent, of, rows, message in (
+            ((store.events, store.pixels), states[:2], (0, 2), "one shape"),
+            ((store.events[:0], store.pixels), states, (0, 4), "hold records"),
+            ((store.events, store.pixels), states, (0, 5), "lie in the image")):
+        with pytest.raises(ValueError, match=f"redundancy_read: .*{message}"):
+            _kernels.redundancy_read(0, 0, recent, (NUMBERS, waves), of.copy(), rows,
+                                     out)
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (2, 2), (5, 7)])

@@ -123,7 +123,8 @@ class ReadAhead(Advises, Iterator[PolarFrame]):
 
     def __len__(self) -> int:
         """Return the number of all images; see `Fusion`."""
-        return len(self._fusion)
+        with self._lock:        # it may have to read the beginning
+            return len(self._fusion)
 
     def __next__(self) -> PolarFrame:
         with self._lock:

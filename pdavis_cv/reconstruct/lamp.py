@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._checks import sensor_shape
 from pdavis_cv._types import Events, Records, State
-from pdavis_cv.reconstruct.model import WAVE_DTYPE
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["BLOCK_US", "LampTracker", "Lamplight", "Wave"]
+__all__ = ["BLOCK_US", "WAVE_DTYPE", "LampTracker", "Lamplight", "Wave"]
 
 BLOCK_US = 100_000
 """Length of a block, us.  Each block has one wave, fitted to the blocks before it."""
@@ -39,6 +38,11 @@ _EVIDENCE, _APART, _LEAST = 200.0, 0.5, 0.02
 
 _LEAST_EXPOSURE_MS = 1e-3
 """Lower bound of an exposure as a divisor, ms; numerical."""
+WAVE_DTYPE = np.dtype([
+    ("start_us", "<i8"), ("turns_per_us", "<f8"), ("cosine", "<f8"), ("sine", "<f8"),
+    ("of_light", "<f8")])
+"""Ripple of a lamp in one block (see `Wave`); its frequency is in turns per us."""
+
 _LONG_AGO = -(2**62)
 """A time in us before all stamps; differences to it fit into 64 bits."""
 _STAMP = 2 * _LONG_AGO

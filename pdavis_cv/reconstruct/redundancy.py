@@ -13,18 +13,19 @@ from pdavis_cv import _kernels
 from pdavis_cv._checks import output, positive, sensor_shape, whole_number
 from pdavis_cv._types import Events, Parameters, Records, State
 from pdavis_cv.events import FAR, checked_time, timed_events
+from pdavis_cv.pixel.model import PixelModel
+from pdavis_cv.pixel.silences import table_of
 from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
-from pdavis_cv.reconstruct.model import STATE_DTYPE, TUNING_DTYPE
-from pdavis_cv.reconstruct.stream_clock import (
-    StreamClock,
-    checked_bandwidth,
-    checked_threshold,
-)
-from pdavis_cv.reconstruct.tracks import LOOKAHEAD_US, Tracks, as_bytes
+from pdavis_cv.reconstruct.store import EventStore, as_bytes
+from pdavis_cv.reconstruct.stream_clock import StreamClock, checked_threshold
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["BALANCE_DTYPE", "MOMENTS_DTYPE", "POLICY_DTYPE", "EventRedundancy"]
+__all__ = ["BALANCE_DTYPE", "MOMENTS_DTYPE", "POLICY_DTYPE", "STATE_DTYPE",
+           "EventRedundancy"]
+
+LOOKAHEAD_US = 50_000
+"""Default look-ahead, us: how long to wait for each pixel's next event."""
 
 STEP_US = 2_000
 """Interval at which the four channels are compared, us."""
@@ -63,6 +64,13 @@ POLICY_DTYPE = np.dtype([
         "keep", "ratio_sigma", "forget", "loss", "pull", "least", "line_error",
         "far_errors", "part_least")])
 """Constants of the method: ``policy_t`` in the kernel."""
+
+STATE_DTYPE = np.dtype([
+    (name, "<f8") for name in (
+        "base", "theta_off", "theta_on", "prior_off", "prior_on", "count_off",
+        "count_on")])
+"""State of a pixel: log intensity at the last comparison, up to an offset; its
+thresholds, and those stated (natural-log units); its signed counts at that time."""
 
 BALANCE_DTYPE = np.dtype([
     (name, "<f8") for name in (
@@ -105,8 +113,8 @@ class EventRedundancy(Reconstructor):
         Corner of a high-pass filter on the common changes of a macropixel's pixels.
     lookahead_us : int
         How long to wait for each pixel's next event, us; 0 = not at all.
-    bandwidth : (float, float) or (float, float, float), optional
-        (hz, hz_per_intensity, ...) of the photoreceptors: corner frequency, Hz, and its
+    bandwidth : (float, float), optional
+        (hz, hz_per_intensity) of the photoreceptors: corner frequency, Hz, and its
         increase per DN/ms; default: no lag is taken out.
     ratio_sigma : float
         Prior standard deviation of ln(theta_on / theta_off) from pixel to pixel; `fuse`
@@ -142,9 +150,8 @@ class EventRedundancy(Reconstructor):
         self._theta_off = checked_threshold("theta_off", theta_off, self.shape)
         self._cutoff_hz = positive("cutoff_hz", cutoff_hz)
         self.lookahead_us: int = whole_number("lookahead_us", lookahead_us, 0, FAR)
-        self._bandwidth = checked_bandwidth(bandwidth)
+        self._bandwidth = _checked_bandwidth(bandwidth)
         self._response = None if response is None else np.array(response, np.float64)
-        self._tuning = np.zeros(1, TUNING_DTYPE)
         self._tune()
         loss = -math.expm1(-1e-6 * math.tau * self._cutoff_hz * STEP_US)
         self._policy = np.array([(
@@ -158,7 +165,7 @@ class EventRedundancy(Reconstructor):
         self._balance["null"] = null_of(self._response, self.shape)
         self._moments = np.zeros(cells, MOMENTS_DTYPE)
         self._moments["ratio"] = self._moments["smallest"] = 1
-        self._tracks = Tracks(self.shape)
+        self._store = EventStore(self.shape)
         self._clock = StreamClock(self.shape)
         self._lamp = Lamplight()
         self._next: int | None = None   # number of the next comparison
@@ -169,8 +176,10 @@ class EventRedundancy(Reconstructor):
         self._solved: NDArray[np.float32] | None = None
 
     def _tune(self) -> None:
-        self._tuning["bandwidth_hz"] = self._bandwidth[0]
-        self._tuning["bandwidth_hz_per_intensity"] = self._bandwidth[1]
+        # Counts are those of unit thresholds: pixels have their own.
+        end, bow = table_of(self.lookahead_us)
+        self._numbers = PixelModel(
+            theta=np.ones(2), bandwidth=self._bandwidth, end=end, bow=bow).numbers
 
     def retune(self, **learned: Any) -> None:
         """Continue with other thresholds, bandwidth or spread (see `Reconstructor`).
@@ -186,7 +195,7 @@ class EventRedundancy(Reconstructor):
             self._policy["ratio_sigma"] = positive(
                 "ratio_sigma", learned["ratio_sigma"])
         if "bandwidth" in learned:
-            self._bandwidth = checked_bandwidth(learned["bandwidth"])
+            self._bandwidth = _checked_bandwidth(learned["bandwidth"])
         if not {"theta_on", "theta_off"}.isdisjoint(learned):
             self._take_thresholds(learned.get("theta_on", self._theta_on),
                                   learned.get("theta_off", self._theta_off))
@@ -230,7 +239,7 @@ class EventRedundancy(Reconstructor):
         """Take events (see `Reconstructor.add_events`)."""
         events = timed_events(events)
         self._fed += 1
-        taken = self._tracks.push(events, self._clock.last_us)
+        taken = self._store.push(events, self._clock.last_us, self._numbers)
         if taken and self._next is None:
             self._next = int(events["t"][0]) // STEP_US + 1
         try:
@@ -258,7 +267,7 @@ class EventRedundancy(Reconstructor):
 
     def _due(self, t: int) -> bool:
         return self._next is not None and self._next * STEP_US <= t and (
-            self._unsolved or self._tracks.waiting_us is not None)
+            self._unsolved or self._store.waiting_us is not None)
 
     def _compare(self, until_us: int) -> None:
         """Make the comparisons and solutions up to until_us, inclusive.
@@ -266,22 +275,22 @@ class EventRedundancy(Reconstructor):
         They fall on fixed times, so results depend neither on how the stream is cut
         into packets nor on the activity of other macropixels.
         """
-        tracks = self._tracks
+        store = self._store
         while self._next is not None and self._next * STEP_US <= until_us:
-            k, before = self._next, tracks.committed
+            k, before = self._next, store.committed
             t = k * STEP_US
-            tracks.commit(t)
+            store.commit(t)
             self._next = k + 1
-            if tracks.committed != before:
+            if store.committed != before:
                 _kernels.redundancy_sample(
-                    t, t + self.lookahead_us, tracks.chain,
-                    tracks.store[before:tracks.committed],
-                    (self._tuning, self._lamp.waves), self._policy,
+                    t, t + self.lookahead_us,
+                    (store.events, store.pixels, before, store.committed),
+                    (self._numbers, self._lamp.waves), self._policy,
                     (self._states, self._balance, self._moments))
                 self._unsolved = True
             else:
                 # Skip to the next event or the next solution, whichever is first.
-                waiting = tracks.waiting_us
+                waiting = store.waiting_us
                 self._next = max(k + 1, until_us // STEP_US + 1 if waiting is None
                                  else -(-waiting // STEP_US))
                 if self._unsolved:
@@ -323,9 +332,10 @@ class EventRedundancy(Reconstructor):
         return one
 
     def _estimate(self, t: int, log: NDArray[np.float32]) -> Estimate:
-        chain, model = self._tracks.chain, (self._tuning, self._lamp.waves)
+        recent = self._store.events, self._store.pixels
+        model = self._numbers, self._lamp.waves
         self.workers.rows(len(log), lambda first, last: _kernels.redundancy_read(
-            t, t + self.lookahead_us, chain, model, self._states, (first, last), log),
+            t, t + self.lookahead_us, recent, model, self._states, (first, last), log),
             row_ns=_READ_NS * log.shape[1])
         ratio, smallest = self._solution
         return Estimate(log, smallest.copy(), ratio < VALID_QUALITY)
@@ -338,19 +348,19 @@ class EventRedundancy(Reconstructor):
         self._theta_on, self._theta_off = other._theta_on, other._theta_off
         self._policy["ratio_sigma"] = other._policy["ratio_sigma"]
         self._tune()
-        self._tracks.assign(other._tracks)
+        self._store.restore(other._store.state())
         self._take(other._clock.last_us, other._states, other._balance, other._moments,
                    other._next, other._unsolved, other._lamp.state())
 
     def _state(self) -> State:
         arrays = (as_bytes(one).copy()
                   for one in (self._states, self._balance, self._moments))
-        return {"tracks": self._tracks.state(), "rest": (
+        return {"store": self._store.state(), "rest": (
             self._clock.last_us, *arrays, self._next, self._unsolved,
             self._lamp.state())}
 
     def _restore(self, state: State) -> None:
-        self._tracks.restore(state["tracks"])
+        self._store.restore(state["store"])
         self._take(*state["rest"])
 
     def _take(
@@ -370,6 +380,19 @@ class EventRedundancy(Reconstructor):
     def _changed(self) -> None:
         """Invalidate everything cached from the state."""
         self._fed += 1
+
+
+def _checked_bandwidth(value: Sequence[float] | None) -> tuple[float, float]:
+    """Return (hz, hz_per_intensity), checked; zeros for None."""
+    if value is None:
+        return 0.0, 0.0
+    if isinstance(value, str) or len(value) != 2:
+        raise ValueError(f"bandwidth must be (hz, hz_per_intensity), got {value!r}")
+    hz, slope = (float(part) for part in value)
+    if not all(np.isfinite(x) and x >= 0 for x in (hz, slope)):
+        raise ValueError(
+            f"bandwidth must hold finite numbers that are not negative, got {value!r}")
+    return hz, slope
 
 
 def null_of(

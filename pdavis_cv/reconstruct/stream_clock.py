@@ -1,7 +1,6 @@
 """Checks that all methods share: order in time, shape, and their parameters."""
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,11 +12,7 @@ from pdavis_cv._types import Events
 from pdavis_cv.events import bad_event, checked_time, timed_events
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["BANDWIDTH_SIGMA", "NEVER", "StreamClock", "checked_bandwidth",
-           "checked_threshold", "steps"]
-
-BANDWIDTH_SIGMA = 0.03
-"""Relative standard error of a bandwidth that is stated without one."""
+__all__ = ["NEVER", "StreamClock", "checked_threshold", "steps"]
 
 NEVER = int(np.iinfo(np.int64).min)
 
@@ -122,20 +117,3 @@ def steps(
     """Return the step of log intensity by polarity: (2,), or (H, W, 2) for maps."""
     off, on = np.broadcast_arrays(np.negative(theta_off), theta_on)
     return np.stack([off, on], axis=-1).astype(np.float32)
-
-
-def checked_bandwidth(value: Sequence[float] | None) -> tuple[float, float, float]:
-    """Return (hz, hz_per_intensity, sigma), checked; zeros for None."""
-    if value is None:
-        return 0.0, 0.0, 0.0
-    if isinstance(value, str) or len(value) not in (2, 3):
-        raise ValueError(
-            "bandwidth must be (hz, hz_per_intensity) or (hz, hz_per_intensity, "
-            f"sigma), got {value!r}")
-    hz, slope, *rest = (float(part) for part in value)
-    sigma = rest[0] if rest else BANDWIDTH_SIGMA
-    if not all(np.isfinite(x) and x >= 0 for x in (hz, slope, sigma)):
-        raise ValueError(
-            "bandwidth must hold finite numbers that are not negative, got "
-            f"{value!r}")
-    return hz, slope, sigma

@@ -24,8 +24,6 @@ from pdavis_cv.reconstruct.base import (
 from pdavis_cv.reconstruct.kalman.frames import (
     ANCHOR_DTYPE,
     COURSE_DTYPE,
-    EVENT_DTYPE,
-    PIXEL_DTYPE,
     SHOWN_DTYPE,
     Waiting,
     between,
@@ -35,8 +33,8 @@ from pdavis_cv.reconstruct.kalman.lasting_degree import LastingDegree
 from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
 from pdavis_cv.reconstruct.redundancy import RATIO_SIGMA
+from pdavis_cv.reconstruct.store import EVENT_DTYPE, PIXEL_DTYPE, as_bytes
 from pdavis_cv.reconstruct.stream_clock import NEVER, StreamClock, checked_threshold
-from pdavis_cv.reconstruct.tracks import as_bytes
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["KalmanFilter"]
@@ -52,7 +50,6 @@ _AHEAD_US = round(1e6 * max(LAGS_S))
 _LATE_US = 500_000      # how late a frame may come, us
 _NO_EVENTS = 1 << 14    # capacity of the store at first, events
 _GAINS_PER_US = 1e-4    # relative error of gains by that of stamps: a tenth per ms
-_BANDWIDTH_SIGMA = 0.1  # relative error of the bandwidth of saturated pixels
 _PLANES, _PIXEL_NS = 5, 100.0   # of an image in the making; ns by listed pixel
 # As PD_UNKNOWN, PD_PRIOR_ODDS, PD_NEVER, PD_CHANGED and PD_QUIET of _increments.h.
 _UNKNOWN, _HOT, _NO_TIME = 1e3, 6.91, 1 << 62
@@ -133,7 +130,7 @@ class KalmanFilter(Reconstructor):
         self._given = model
         self._saturated = Saturated(
             self.shape, *self._thresholds, response, lookahead_us,
-            (*self._model.bandwidth, _BANDWIDTH_SIGMA), self._ratio_sigma)
+            self._model.bandwidth, self._ratio_sigma)
         self._begin()
 
     @property
@@ -235,8 +232,7 @@ class KalmanFilter(Reconstructor):
         moved = learned.get("frames_moved_us", 0)
         self._forget_gains(old, moved)
         self._saturated.retune(
-            (*self._model.bandwidth, _BANDWIDTH_SIGMA), self._ratio_sigma,
-            self._thresholds)
+            self._model.bandwidth, self._ratio_sigma, self._thresholds)
         self._numbers = self._model.numbers
         if self._stop:
             _kernels.increments_weigh(

@@ -11,19 +11,11 @@ from pdavis_cv.pixel.model import SAMPLES, SHORT_US, PixelModel
 from pdavis_cv.reconstruct.frames import log_exposure, usable_samples
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["ANCHOR_DTYPE", "COURSE_DTYPE", "EVENT_DTYPE", "NODE_DTYPE", "PIXEL_DTYPE",
-           "SHOWN_DTYPE", "Waiting", "between", "thresholds_of"]
+__all__ = ["ANCHOR_DTYPE", "COURSE_DTYPE", "NODE_DTYPE", "SHOWN_DTYPE", "Waiting",
+           "between", "thresholds_of"]
 
 _COVARIANCES = 6    # of level and both gains: a triangle of 3 x 3
 
-EVENT_DTYPE = np.dtype([
-    ("t", "<i8"), ("light", "<f8", 2), ("count", "<f8", 2), ("before", "<f4"),
-    ("before2", "<f4"), ("prev", "<i4"), ("next", "<i4"), ("pixel", "<i4"),
-    ("sign", "i1"), ("context", "i1"), ("run", "i1"), ("run_before", "i1")])
-PIXEL_DTYPE = np.dtype([
-    ("at", EVENT_DTYPE), ("newest", EVENT_DTYPE),
-    ("quiet_t", "<i8"), ("at_index", "<i4"), ("newest_index", "<i4"),
-    ("next", "<i4")], align=True)
 NODE_DTYPE = np.dtype([
     ("mean", "<f8"), ("light", "<f8", 2), ("open_t", "<i8"),
     ("around_t", "<i8"), ("open_variance", "<f4")], align=True)

@@ -60,7 +60,7 @@ class Saturated:
         As for `EventRedundancy`.
     lookahead_us : int
         How far beyond the time of `fill` the stream will have been fed, us.
-    bandwidth : (float, float, float)
+    bandwidth : (float, float)
         As for `EventRedundancy`, by light in DN/ms.
     ratio_sigma : float
         As for `EventRedundancy`; pixels in dim light have at least its default.
@@ -69,7 +69,7 @@ class Saturated:
     def __init__(
         self, shape: tuple[int, int], theta_on: ArrayLike, theta_off: ArrayLike,
         response: ArrayLike | None, lookahead_us: int,
-        bandwidth: tuple[float, float, float], ratio_sigma: float,
+        bandwidth: tuple[float, float], ratio_sigma: float,
     ) -> None:
         self.response = None if response is None else np.array(response, np.float64)
         self._shape, self._bandwidth = shape, bandwidth
@@ -130,10 +130,10 @@ class Saturated:
         by_pixel = np.broadcast_to(values, self._shape + np.shape(values)[2:])
         return by_pixel.reshape(-1, *by_pixel.shape[2:])[self._grid].astype(np.float64)
 
-    def _law(self, level: float) -> tuple[float, float, float]:
+    def _law(self, level: float) -> tuple[float, float]:
         # The bandwidth is that at one level of light, as no frame measures the light.
-        hz, slope, sigma = self._bandwidth
-        return hz + slope * math.exp(level), 0.0, sigma
+        hz, slope = self._bandwidth
+        return hz + slope * math.exp(level), 0.0
 
     def _spread(self) -> float:
         # In dim light leak and noise events, which are not the same in all pixels, are
@@ -141,7 +141,7 @@ class Saturated:
         return max(self._ratio_sigma, RATIO_SIGMA) if self._dim else self._ratio_sigma
 
     def retune(
-        self, bandwidth: tuple[float, float, float], ratio_sigma: float,
+        self, bandwidth: tuple[float, float], ratio_sigma: float,
         thresholds: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> None:
         """Continue with others and, if they are given, other thresholds."""

@@ -1,0 +1,122 @@
+"""Recent events, and of each pixel the sums of those that are older."""
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv._types import Events, Records, State
+
+__all__ = ["EVENT_DTYPE", "PIXEL_DTYPE", "EventStore", "as_bytes"]
+
+EVENT_DTYPE = np.dtype([
+    ("t", "<i8"), ("light", "<f8", 2), ("count", "<f8", 2), ("before", "<f4"),
+    ("before2", "<f4"), ("prev", "<i4"), ("next", "<i4"), ("pixel", "<i4"),
+    ("sign", "i1"), ("context", "i1"), ("run", "i1"), ("run_before", "i1")])
+PIXEL_DTYPE = np.dtype([
+    ("at", EVENT_DTYPE), ("newest", EVENT_DTYPE),
+    ("quiet_t", "<i8"), ("at_index", "<i4"), ("newest_index", "<i4"),
+    ("next", "<i4")], align=True)
+"""Records of _kernels/_increments.pxd, which says what their fields are."""
+
+_LEAST = 1 << 14
+"""Initial capacity in events; it doubles when it is full."""
+
+_NONE = np.empty(0, np.int32)
+
+
+class EventStore:
+    """Events that are pushed, and committed once they precede every later read.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        (height, width).
+
+    Attributes
+    ----------
+    pixels : ndarray of PIXEL_DTYPE, shape (H, W)
+        Each pixel's last committed event, with its sums, and links to the next ones.
+    events : ndarray of EVENT_DTYPE, shape (capacity,)
+        Those that are not committed, after some that are.
+    committed : int
+        Index of the first event that is not committed.
+    """
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.pixels: Records = np.zeros(shape, PIXEL_DTYPE)
+        for name in ("at_index", "newest_index", "next"):
+            self.pixels[name] = -1
+        self.events: Records = np.zeros(_LEAST, EVENT_DTYPE)
+        self.committed = self._stop = 0
+        self._first_us: int | None = None
+        self._due = np.zeros(shape, np.int64)   # no pixel is quiet
+
+    def push(
+        self, events: Events, last_us: int, numbers: NDArray[np.float64]
+    ) -> int:
+        """Append events, counted as `PixelModel.numbers` says; return how many.
+
+        Events are taken up to the first one that is out of order or off the sensor.
+        """
+        if not len(events):
+            return 0
+        if self._first_us is None:
+            self._first_us = int(events["t"][0])
+        self._make_room(len(events))
+        taken: int = _kernels.increments_push(
+            events, last_us, self._first_us, self._stop, self.events, self.pixels,
+            numbers, self._due, _NONE, 0)[0]
+        self._stop += taken
+        return taken
+
+    @property
+    def waiting_us(self) -> int | None:
+        """Time of the first event that is not committed, None if there is none."""
+        return (int(self.events["t"][self.committed])
+                if self.committed < self._stop else None)
+
+    def commit(self, until_us: int) -> None:
+        """Commit all events up to until_us, inclusive."""
+        self.committed = _kernels.increments_commit(
+            self.events, self.committed, self._stop, until_us, self.pixels, self._due,
+            _NONE, 0)[0]
+
+    def _make_room(self, n: int) -> None:
+        if self._stop + n <= len(self.events):
+            return
+        self._drop_committed()
+        # Half of the capacity stays free, so that events are rarely moved.
+        room = max(len(self.events), 2 * (self._stop + n))
+        if room > len(self.events):
+            old, self.events = self.events, np.zeros(room, EVENT_DTYPE)
+            as_bytes(self.events)[:old.nbytes] = as_bytes(old)
+
+    def _drop_committed(self) -> None:
+        kept = as_bytes(self.events[self.committed:self._stop]).copy()
+        as_bytes(self.events)[:kept.size] = kept
+        self._stop -= self.committed
+        _kernels.increments_drop(self.events, self._stop, self.committed, self.pixels)
+        self.committed = 0
+
+    def state(self) -> State:
+        """Return copies of everything."""
+        self._drop_committed()
+        return {"first_us": self._first_us, "pixels": as_bytes(self.pixels).copy(),
+                "events": as_bytes(self.events[:self._stop]).copy()}
+
+    def restore(self, state: State) -> None:
+        """Return to what `state` returned, which is copied."""
+        self._first_us, self.committed = state["first_us"], 0
+        as_bytes(self.pixels)[:] = state["pixels"]
+        stored = state["events"]
+        self._stop = stored.size // EVENT_DTYPE.itemsize
+        if self._stop > len(self.events):
+            self.events = np.zeros(2 * self._stop, EVENT_DTYPE)
+        as_bytes(self.events)[:stored.size] = stored
+
+
+def as_bytes(records: Records) -> NDArray[np.uint8]:
+    """Return records viewed as bytes, which are copied ten times as fast."""
+    # NumPy copies unaligned records field by field.
+    return records.view(np.uint8)
