@@ -480,8 +480,7 @@ class Fusion(Advises):
         if self.needs.lamp:
             # Of the whole sensor, so that an image of a region equals the crop.
             self._lamp = LampTracker(
-                self.recording.info.sensor_size, tuning.theta_on, tuning.theta_off,
-                tuning.parameters.get("bandwidth"))
+                self.recording.info.sensor_size, *tuning.photoreceptors)
         self._update_provenance(self._state.method.parameters)
 
     def _method_factory(self) -> Callable[[], Reconstructor]:
@@ -585,8 +584,8 @@ class Fusion(Advises):
                 changed = {**changed, "frames_moved_us": moved_us}
         if changed:
             self._state.retune(t_us, changed)
-        if self._lamp is not None and "bandwidth" in changed:
-            self._lamp.retune(changed["bandwidth"])
+        if self._lamp is not None and changed:
+            self._lamp.retune(*self._online.tuning.photoreceptors)
         self._update_provenance(self._state.method.parameters)
 
     def _frame_us(self, method: Reconstructor, t: int) -> int | None:

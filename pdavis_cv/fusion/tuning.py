@@ -9,6 +9,7 @@ import numpy as np
 
 from pdavis_cv._types import Parameters
 from pdavis_cv.calibration.thresholds import Theta
+from pdavis_cv.pixel.model import PixelModel
 
 __all__ = ["Tuning"]
 
@@ -33,6 +34,14 @@ class Tuning:
     theta_off: Theta
     parameters: Parameters
     clock_us: int
+
+    @property
+    def photoreceptors(self) -> tuple[Theta, Theta, tuple[float, float] | None]:
+        """Thresholds, ON and OFF, and bandwidth, by whichever the method knows."""
+        model: PixelModel | None = self.parameters.get("model")
+        if model is None:
+            return self.theta_on, self.theta_off, self.parameters.get("bandwidth")
+        return float(model.thresholds[1]), float(model.thresholds[0]), model.bandwidth
 
     def changes(self, before: Tuning) -> dict[str, Any]:
         """Return the parameters to `retune` a method with that has another tuning."""

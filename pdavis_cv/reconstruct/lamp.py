@@ -138,8 +138,8 @@ class LampTracker:
         (height, width) of the sensor.
     theta_on, theta_off : array_like
         Contrast thresholds, natural-log units; their means are used.
-    bandwidth : sequence of float, optional
-        (hz, hz_per_intensity, ...) of the photoreceptors, as for `EventRedundancy`.
+    bandwidth : (float, float), optional
+        (hz, hz_per_intensity) of the photoreceptors, as for `EventRedundancy`.
     """
 
     def __init__(
@@ -147,17 +147,15 @@ class LampTracker:
         bandwidth: Sequence[float] | None = None,
     ) -> None:
         self._shape = height, width = sensor_shape(shape)
-        self._on, self._off = (float(np.mean(np.asarray(theta)))
-                               for theta in (theta_on, theta_off))
         self._shift = 0
         while height * width >> 2 * self._shift > _PIXELS:
             self._shift += 1
         step = 2 << self._shift
         self._stamps = np.full(
             (2 * -(-height // step), 2 * -(-width // step), 2), _STAMP, np.int64)
-        self._hz, self._slope, *_ = bandwidth or (0.0, 0.0)
         # Before the first frame, all pixels are taken to be as slow as in the dark.
-        self._corners = np.full(self._stamps.shape[:2], self._hz, np.float32)
+        self._corners = np.empty(self._stamps.shape[:2], np.float32)
+        self.retune(theta_on, theta_off, bandwidth)
         self._now = np.zeros((len(_EVEN_US), 4, 4, _SUMS))
         self._sums: tuple[NDArray[np.float64], ...] = ()
         self._block: int | None = None
@@ -190,9 +188,14 @@ class LampTracker:
             frame.exposure_ms, _LEAST_EXPOSURE_MS)
         self._corners[:len(rows), :len(columns)] = self._hz + self._slope * bright
 
-    def retune(self, bandwidth: Sequence[float] | None) -> None:
-        """Continue with another bandwidth; the next frame gives the brightness."""
-        self._hz, self._slope, *_ = bandwidth or (0.0, 0.0)
+    def retune(
+        self, theta_on: ArrayLike, theta_off: ArrayLike,
+        bandwidth: Sequence[float] | None = None,
+    ) -> None:
+        """Continue with other parameters; the next frame gives the brightness."""
+        self._on, self._off = (float(np.mean(np.asarray(theta)))
+                               for theta in (theta_on, theta_off))
+        self._hz, self._slope = bandwidth or (0.0, 0.0)
         self._corners[:] = self._hz
 
     def advance(self, t_us: int) -> Iterator[Wave]:

@@ -119,6 +119,9 @@ class EventRedundancy(Reconstructor):
     ratio_sigma : float
         Prior standard deviation of ln(theta_on / theta_off) from pixel to pixel; `fuse`
         learns it from the events if it is not given.
+    model : PixelModel, optional
+        Tells how light goes on after an event, and the dead time; default: as in other
+        cameras.
 
     Raises
     ------
@@ -143,7 +146,7 @@ class EventRedundancy(Reconstructor):
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
         response: ArrayLike | None = None, cutoff_hz: float = 0.5,
         lookahead_us: int = LOOKAHEAD_US, bandwidth: Sequence[float] | None = None,
-        ratio_sigma: float = RATIO_SIGMA,
+        ratio_sigma: float = RATIO_SIGMA, model: PixelModel | None = None,
     ) -> None:
         self.shape = sensor_shape(shape)
         self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
@@ -152,6 +155,7 @@ class EventRedundancy(Reconstructor):
         self.lookahead_us: int = whole_number("lookahead_us", lookahead_us, 0, FAR)
         self._bandwidth = _checked_bandwidth(bandwidth)
         self._response = None if response is None else np.array(response, np.float64)
+        self._model = model
         self._tune()
         loss = -math.expm1(-1e-6 * math.tau * self._cutoff_hz * STEP_US)
         self._policy = np.array([(
@@ -176,21 +180,27 @@ class EventRedundancy(Reconstructor):
         self._solved: NDArray[np.float32] | None = None
 
     def _tune(self) -> None:
+        model = self._model
+        if model is None:
+            end, bow = table_of(self.lookahead_us)
+            model = PixelModel(theta=np.ones(2), end=end, bow=bow)
         # Counts are those of unit thresholds: pixels have their own.
-        end, bow = table_of(self.lookahead_us)
-        self._numbers = PixelModel(
-            theta=np.ones(2), bandwidth=self._bandwidth, end=end, bow=bow).numbers
+        self._numbers = model.replace(
+            theta=np.ones(2), by_class=np.zeros_like(model.by_class), black=0.0,
+            bandwidth=self._bandwidth).numbers
 
     def retune(self, **learned: Any) -> None:
         """Continue with other thresholds, bandwidth or spread (see `Reconstructor`).
 
         Past sums of events stay as they are; the gains follow within their memory.
         """
-        unknown = learned.keys() - {"theta_on", "theta_off", "bandwidth", "ratio_sigma"}
+        unknown = learned.keys() - {
+            "theta_on", "theta_off", "bandwidth", "ratio_sigma", "model"}
         if unknown:
             raise TypeError(
-                "retune takes theta_on, theta_off, bandwidth and ratio_sigma, got "
-                f"{', '.join(sorted(unknown))}")
+                "retune takes theta_on, theta_off, bandwidth, ratio_sigma and model, "
+                f"got {', '.join(sorted(unknown))}")
+        self._model = learned.get("model", self._model)
         if "ratio_sigma" in learned:
             self._policy["ratio_sigma"] = positive(
                 "ratio_sigma", learned["ratio_sigma"])
@@ -216,7 +226,8 @@ class EventRedundancy(Reconstructor):
         return {"theta_on": self._theta_on, "theta_off": self._theta_off,
                 "response": self._response, "cutoff_hz": self._cutoff_hz,
                 "lookahead_us": self.lookahead_us, "bandwidth": self._bandwidth,
-                "ratio_sigma": float(self._policy["ratio_sigma"][0])}
+                "ratio_sigma": float(self._policy["ratio_sigma"][0]),
+                "model": self._model}
 
     @property
     def quality(self) -> NDArray[np.float32]:
@@ -344,7 +355,7 @@ class EventRedundancy(Reconstructor):
         """Copy the state of an equal object (see `Reconstructor.assign`)."""
         if not isinstance(other, EventRedundancy) or other.shape != self.shape:
             raise ValueError(f"other must be an equal EventRedundancy, got {other!r}")
-        self._bandwidth = other._bandwidth
+        self._bandwidth, self._model = other._bandwidth, other._model
         self._theta_on, self._theta_off = other._theta_on, other._theta_off
         self._policy["ratio_sigma"] = other._policy["ratio_sigma"]
         self._tune()

@@ -129,8 +129,8 @@ class KalmanFilter(Reconstructor):
         self._ratio_sigma = positive("ratio_sigma", ratio_sigma)
         self._given = model
         self._saturated = Saturated(
-            self.shape, *self._thresholds, response, lookahead_us,
-            self._model.bandwidth, self._ratio_sigma)
+            self.shape, *self._thresholds, response, lookahead_us, self._model,
+            self._ratio_sigma)
         self._begin()
 
     @property
@@ -231,8 +231,7 @@ class KalmanFilter(Reconstructor):
         old, self._given = self._model, learned.get("model", self._given)
         moved = learned.get("frames_moved_us", 0)
         self._forget_gains(old, moved)
-        self._saturated.retune(
-            self._model.bandwidth, self._ratio_sigma, self._thresholds)
+        self._saturated.retune(self._model, self._ratio_sigma, self._thresholds)
         self._numbers = self._model.numbers
         if self._stop:
             _kernels.increments_weigh(

@@ -11,6 +11,7 @@ from pdavis_cv import _kernels
 from pdavis_cv._types import Events, State
 from pdavis_cv._workers import Workers
 from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.reconstruct.frames import log_exposure
 from pdavis_cv.reconstruct.redundancy import RATIO_SIGMA, EventRedundancy, null_of
 from pdavis_cv.recording.base import ApsFrame
@@ -60,8 +61,8 @@ class Saturated:
         As for `EventRedundancy`.
     lookahead_us : int
         How far beyond the time of `fill` the stream will have been fed, us.
-    bandwidth : (float, float)
-        As for `EventRedundancy`, by light in DN/ms.
+    model : PixelModel
+        Of the camera.
     ratio_sigma : float
         As for `EventRedundancy`; pixels in dim light have at least its default.
     """
@@ -69,10 +70,10 @@ class Saturated:
     def __init__(
         self, shape: tuple[int, int], theta_on: ArrayLike, theta_off: ArrayLike,
         response: ArrayLike | None, lookahead_us: int,
-        bandwidth: tuple[float, float], ratio_sigma: float,
+        model: PixelModel, ratio_sigma: float,
     ) -> None:
         self.response = None if response is None else np.array(response, np.float64)
-        self._shape, self._bandwidth = shape, bandwidth
+        self._shape, self._model = shape, model
         self._thresholds, self._lookahead_us = (theta_on, theta_off), lookahead_us
         self._ratio_sigma = ratio_sigma
         # By pixel of the virtual sensor: its flat sensor index.
@@ -123,7 +124,7 @@ class Saturated:
         self._method = EventRedundancy(
             self._grid.shape, theta_on=on, theta_off=off, response=response,
             lookahead_us=self._lookahead_us, bandwidth=self._law(level),
-            ratio_sigma=self._spread())
+            ratio_sigma=self._spread(), model=self._model)
 
     def _gathered(self, values: ArrayLike) -> NDArray[np.float64]:
         """Return values of the sensor's pixels for those of the virtual sensor."""
@@ -132,7 +133,7 @@ class Saturated:
 
     def _law(self, level: float) -> tuple[float, float]:
         # The bandwidth is that at one level of light, as no frame measures the light.
-        hz, slope = self._bandwidth
+        hz, slope = self._model.bandwidth
         return hz + slope * math.exp(level), 0.0
 
     def _spread(self) -> float:
@@ -141,19 +142,17 @@ class Saturated:
         return max(self._ratio_sigma, RATIO_SIGMA) if self._dim else self._ratio_sigma
 
     def retune(
-        self, bandwidth: tuple[float, float], ratio_sigma: float,
-        thresholds: tuple[ArrayLike, ArrayLike] | None = None,
+        self, model: PixelModel, ratio_sigma: float,
+        thresholds: tuple[ArrayLike, ArrayLike],
     ) -> None:
-        """Continue with others and, if they are given, other thresholds."""
-        self._bandwidth, self._ratio_sigma = bandwidth, ratio_sigma
+        """Continue with others."""
+        self._model, self._ratio_sigma = model, ratio_sigma
+        self._thresholds = thresholds
         if self._method is not None and self._level is not None:
+            on, off = (self._gathered(theta) for theta in thresholds)
             self._method.retune(
-                bandwidth=self._law(self._level), ratio_sigma=self._spread())
-        if thresholds is not None:
-            self._thresholds = thresholds
-            if self._method is not None:
-                on, off = (self._gathered(theta) for theta in thresholds)
-                self._method.retune(theta_on=on, theta_off=off)
+                theta_on=on, theta_off=off, bandwidth=self._law(self._level),
+                ratio_sigma=self._spread(), model=model)
 
     def add_frame(
         self, frame: ApsFrame, sample: NDArray[np.float32], noise: NDArray[np.float32],
@@ -256,7 +255,7 @@ class Saturated:
 
     def assign(self, other: Saturated) -> None:
         """Copy the state of an equal object."""
-        self._bandwidth, self._bound = other._bandwidth, other._bound
+        self._model, self._bound = other._model, other._bound
         self._thresholds, self._early = other._thresholds, other._early
         self._ratio_sigma, self._dim = other._ratio_sigma, other._dim
         if other._method is None or other._level is None:
