@@ -14,9 +14,11 @@ import os
 import tempfile
 import threading
 import time
+import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, astuple, dataclass, fields
+from http import HTTPStatus
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -218,13 +220,14 @@ def _viewed(where: str, method: str, folder: Path) -> Iterator[PolarFrame]:
 
 
 def _look(url: str, ended: threading.Event) -> None:
-    """Request pictures like the viewer's page."""
-    number = 0
+    """Request the last image again and again."""
     while not ended.is_set():
-        address = (f"{url}frame?panes=s0,aop,dolp,events&after={number}"
-                   "&region=2,2,4,4")
-        with urllib.request.urlopen(address, timeout=60) as answer:
-            answer.read()
+        try:
+            with urllib.request.urlopen(url + "snapshot.npz", timeout=60) as answer:
+                answer.read()
+        except urllib.error.HTTPError as error:
+            if error.code != HTTPStatus.SERVICE_UNAVAILABLE:    # no image yet
+                raise
         ended.wait(0.02)
 
 

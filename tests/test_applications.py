@@ -270,8 +270,7 @@ def test_tendon_subtracts_the_polarization_of_the_light(
         table = pandas.read_csv(tmp_path / "traces.csv")
         vectors.append(table["dolp"] * np.exp(2j * np.deg2rad(table["aop_deg"])))
     capsys.readouterr()
-    gain = 41 / 39   # the nominal extinction ratio's, of the background's frames
-    np.testing.assert_allclose(vectors[0] - vectors[1], 0.1 * gain, atol=2e-4)
+    np.testing.assert_allclose(vectors[0] - vectors[1], 0.1, atol=2e-4)
 
 
 def true_wave(truth, hz, x, y):
@@ -298,7 +297,8 @@ def test_amplitude_and_phase_of_any_speed_are_those_of_the_light(
     y, x = np.mgrid[4:24, 6:30]
     mean, amplitude, phase = true_wave(truth, hz, x.ravel(), y.ravel())
     assert row["dolp"] == pytest.approx(mean, rel=0.01)
-    assert row["dolp_amplitude"] == pytest.approx(amplitude, rel=0.01)
+    # The extinction ratio is not known: 1.1 % (one sigma).
+    assert row["dolp_amplitude"] == pytest.approx(amplitude, rel=0.02)
     phase += 2 * np.pi * hz * recording.info.start_us / 1e6
     off = np.angle(np.exp(1j * (np.deg2rad(row["phase_deg"]) - phase)))
     assert abs(np.rad2deg(off)) < 3 * row["phase_se_deg"] < 1.5

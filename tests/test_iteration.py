@@ -250,6 +250,7 @@ def test_the_length_is_not_told_while_another_thread_reads(turning):
         assert reading.wait(PATIENCE_S)
         assert pool.submit(len, images).result() == 20
         assert first.result() is not None
+    images.close()
 
 
 def _rest_of(images, queue):

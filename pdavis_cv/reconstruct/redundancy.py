@@ -27,6 +27,11 @@ __all__ = ["BALANCE_DTYPE", "MOMENTS_DTYPE", "POLICY_DTYPE", "STATE_DTYPE",
 LOOKAHEAD_US = 50_000
 """Default look-ahead, us: how long to wait for each pixel's next event."""
 
+REST_S = 1.0
+"""Gap in which light is as likely still as moving, s, if no `model` tells it.  Without
+frames, weak polarization that turns slowly needs at least this (measured on seeds 1001
+and 1002 at 30 RPM and DoLP .3; longer ones change nothing)."""
+
 STEP_US = 2_000
 """Interval at which the four channels are compared, us."""
 SOLVE_EVERY = 10
@@ -183,7 +188,7 @@ class EventRedundancy(Reconstructor):
         model = self._model
         if model is None:
             end, bow = table_of(self.lookahead_us)
-            model = PixelModel(theta=np.ones(2), end=end, bow=bow)
+            model = PixelModel(theta=np.ones(2), end=end, bow=bow, rest_s=REST_S)
         # Counts are those of unit thresholds: pixels have their own.
         self._numbers = model.replace(
             theta=np.ones(2), by_class=np.zeros_like(model.by_class), black=0.0,
