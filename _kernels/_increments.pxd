@@ -102,8 +102,9 @@ cdef struct pixel_t:
 cdef struct node_t:
     double mean             # ln of the mean of exp of all changes so far, with the lead
     double[2] light         # means of the changes by OFF and ON events
-    int64_t open_t          # the event of the silence that is open at its end, NEVER:
-                            # none, 0: the pixel's quiet_t
+    # The event of the silence that is open at its end, NEVER: none, 0: the pixel's
+    # quiet_t.
+    int64_t open_t
     int64_t around_t        # the same at the longest lag after its middle
     float open_variance     # thresholds^2, in the middle
 

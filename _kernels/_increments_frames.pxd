@@ -14,8 +14,7 @@ cdef struct frame_t:
     node_t* nodes
     const float* log            # ln DN/ms
     const float* variance       # of the sample, 0: not usable
-    const float* said           # what other times and pixels said since the frame
-                                # before
+    const float* said           # what others said since the frame before
     const float* gains          # about which nodes are linear
     const int64_t* begin        # of the exposure by column, as end and middle
     const int64_t* end

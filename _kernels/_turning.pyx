@@ -119,8 +119,8 @@ cdef inline void half_turn(double angle, float* cosine, float* sine) noexcept no
         flip = -1
     z = x * x
     sine[0] = x * (1 + z * (SIN3 + z * (SIN5 + z * (SIN7 + z * SIN9))))
-    cosine[0] = flip * (1 + z * (COS2 + z * (COS4 + z * (COS6 + z * (COS8
-                                                                  + z * COS10)))))
+    cosine[0] = flip * (
+        1 + z * (COS2 + z * (COS4 + z * (COS6 + z * (COS8 + z * COS10)))))
 
 
 cdef inline void fade(cell_t* cell, float by) noexcept nogil:
