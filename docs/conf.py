@@ -40,7 +40,7 @@ html_extra_path = ["fan.webm", "tendon.webm"]
 
 PARTS = {
     "Tutorials": ["start/opencv", "start/notebook", "start/microscopy",
-                  "start/robotics", "start/sony", "start/jaer-dv",
+                  "start/robotics", "start/turning", "start/sony", "start/jaer-dv",
                   "start/calibration"],
     "How to": ["tools", "recipes", "applications", "calibration", "score",
                "demosaicing", "batch", "live", "formats", "promises", "glossary"],
