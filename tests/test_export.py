@@ -5,7 +5,8 @@ import cv2
 import numpy as np
 import pytest
 
-from pdavis_cv import export
+from pdavis_cv import ApsFrame, export, recording_from_arrays
+from pdavis_cv.events import EVENT_DTYPE
 
 needs_16_bits = pytest.mark.skipif(
     not hasattr(cv2, "IMWRITE_JPEG_SAMPLING_FACTOR"), reason="OpenCV before 4.7")
@@ -305,3 +306,12 @@ def test_a_full_disk_is_noticed_by_a_lossless_video(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
         signal.signal(signal.SIGXFSZ, previous)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("frame", "unit"), [
+    ([], "1"), ([ApsFrame(np.ones((4, 4), np.float32), 0, 20_000)], "DN/ms"),
+    ([ApsFrame(np.ones((4, 4), np.float32), 0, 0)], "DN")])
+def test_the_unit_of_light_is_what_the_recording_can_tell(frame, unit):
+    recording = recording_from_arrays(
+        np.zeros(1, EVENT_DTYPE), frame, sensor_size=(4, 4))
+    assert export.light_unit(recording) == unit

@@ -367,6 +367,11 @@ class Sheet:
         picture[frame.valid & ~good] = render.MASKED
         return picture
 
+    @property
+    def brightest(self) -> str:
+        """The intensity that is shown white, with its unit."""
+        return f"{self.white:g} {self.unit}".removesuffix(" 1")
+
     def _panel(self, name: str) -> render.Panel:
         one = QUANTITIES[name]
         if name == "aop":
@@ -459,8 +464,7 @@ def _write_video(
             video.add(picture)
     height, width = picture.shape[:2]
     line = (f"wrote {args.out}: {video.count} pictures of {width}x{height}, "
-            f"{rate:g} per second, {video.codec}; white is {sheet.white:g} "
-            f"{sheet.unit}")
+            f"{rate:g} per second, {video.codec}; white is {sheet.brightest}")
     return [line], {"wrote": [args.out], "images": video.count, "playing_fps": rate,
                     "codec": video.codec, "white": sheet.white}
 
@@ -491,7 +495,7 @@ def _write_pictures(
         sheet.write(path, frame)
         written.append(path)
     last = f" .. {written[-1].name}" if len(written) > 1 else ""
-    return [f"wrote {written[0]}{last}; white is {sheet.white:g} {sheet.unit}"], {
+    return [f"wrote {written[0]}{last}; white is {sheet.brightest}"], {
         "wrote": written, "images": len(written), "white": sheet.white}
 
 

@@ -34,9 +34,12 @@ _LONGEST = 64  # largest number of elements of an array that is written out
 
 
 def light_unit(recording: Recording) -> str:
-    """Return the unit of intensities: DN, if the frames' exposure is not known."""
+    """Return the unit of intensities: DN, if the frames' exposure is not known.
+
+    It is 1 without frames, as events tell only how light changes.
+    """
     frame = next((f for packet in recording.packets() for f in packet.frames), None)
-    return "DN" if frame is not None and not frame.exposure_ms else INTENSITY
+    return "1" if frame is None else INTENSITY if frame.exposure_ms else "DN"
 
 
 def units(names: Sequence[str], recording: Recording) -> dict[str, str]:
