@@ -150,8 +150,7 @@ def _quantities():
         "is its picture.  " + ", ".join(
             f"``{name}`` stands for {', '.join(members)}"
             for name, members in GROUPS.items())
-        + ".  Ranges of intensities are in parts of the converter's full scale; "
-        "``--lossless`` maps the range to 16 bits.", "",
+        + ".  Ranges of intensities are in parts of the converter's full scale.", "",
         *_table((3, 2, 5, 1, 3, 2, 2), *rows)])
 
 

@@ -186,11 +186,11 @@ def _fused(where: str, method: str, folder: Path) -> Iterator[PolarFrame]:
 
 
 def _exported(where: str, method: str, folder: Path) -> Iterator[PolarFrame]:
-    from pdavis_cv.export import ArrayFile
+    from pdavis_cv.export import NpyFile
     path = folder / "x.npy"
-    with ArrayFile(path) as file:
+    with NpyFile(path, ["quad"]) as file:
         for image in _fused(where, method, folder):
-            file.add(image.quad)
+            file.add(image)
             yield image
     path.unlink()
 

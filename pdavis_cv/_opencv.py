@@ -5,7 +5,7 @@ import importlib
 import importlib.util
 from typing import Any
 
-__all__ = ["native_capture", "needs_opencv", "opencv", "set_log_level"]
+__all__ = ["native_capture", "opencv", "set_log_level"]
 
 
 def opencv() -> Any:
@@ -40,34 +40,6 @@ def native_capture() -> Any:
     """Return the real class cv2.VideoCapture, also while it is patched."""
     found = opencv().VideoCapture
     return getattr(found, "replaces", found)
-
-
-def needs_opencv(name: str, version: str, purpose: str) -> Any:
-    """Return the module cv2 if it has a function, or say from which version on.
-
-    Parameters
-    ----------
-    name : str
-        Of the function.
-    version : str
-        The first OpenCV that has it.
-    purpose : str
-        What it is needed for.
-
-    Returns
-    -------
-    module
-
-    Raises
-    ------
-    ImportError
-        If there is no OpenCV, or an older one.
-    """
-    cv2 = opencv()
-    if not hasattr(cv2, name):
-        raise ImportError(f"{purpose} needs OpenCV {version} or later, this is "
-                          f"{cv2.__version__}")
-    return cv2
 
 
 def set_log_level(level: int) -> int:

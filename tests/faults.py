@@ -38,8 +38,6 @@ def writers(folder):
     picture = ("--method", "frames", *layout)
     found = {name: ("export", source, "-o", name, *picture) for name in (
         "x.npy", "x.npz", "x.ome.tif", "x.h5", "x.png", "x.mp4", "x.webm")}
-    found["x.mkv"] = ("export", source, "-o", "x.mkv", "--lossless", "--quantities",
-                      "s0", *picture)
     for name in ("y.aedat4", "y.aedat", "y.h5"):
         found[name] = ("convert", str(folder / "davis.aedat4"), name)
     found["z.npz"] = ("calibrate", "dark", source, "-o", "z.npz")

@@ -380,7 +380,6 @@ def test_an_interrupt_leaves_no_video(tmp_path, wheel, monkeypatch, capsys):
 @pytest.mark.parametrize("command", [
     ["export", "-o", "x.mp4"], ["export", "-o", "x.avi"], ["export", "-o", "x.png"],
     ["export", "-o", "x.npy"], ["export", "-o", "x.npz"], ["export", "-o", "x.h5"],
-    ["export", "-o", "x.mkv", "--lossless", "--quantities", "dolp"],
     ["fan", "-o", "x.mkv"], ["tendon", "-o", ".", "--no-video"]])
 def test_a_full_disk_gives_one_line_that_names_the_file(
         tmp_path, monkeypatch, capfd, command):

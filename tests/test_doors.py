@@ -147,9 +147,6 @@ def test_a_quantity_goes_through_every_door(mine, tmp_path, capsys):
             stack["contrast"][0], np.where(image.valid, want, np.nan), rtol=1e-6)
     told(capsys, *words, "-o", str(tmp_path / "x.png"), "--range", "contrast=0,1")
     assert (tmp_path / "x-00000.png").stat().st_size > 10_000
-    told(capsys, *words[:-1], "contrast", "-o", str(tmp_path / "x.mkv"), "--lossless")
-    assert "-1 .. 1" in told(
-        capsys, *words[:-1], "q", "-o", str(tmp_path / "y.mkv"), "--lossless")
     assert "contrast" in told(capsys, "export", "--help")
     told(capsys, "batch", path, "-o", str(tmp_path / "out"), "--set", "method=cf",
          "--set", "layout=pdavis", "--with", "quantities=contrast", "--jobs", "1")

@@ -8,17 +8,13 @@ import pytest
 from pdavis_cv import ApsFrame, export, recording_from_arrays
 from pdavis_cv.events import EVENT_DTYPE
 
-needs_16_bits = pytest.mark.skipif(
-    not hasattr(cv2, "IMWRITE_JPEG_SAMPLING_FACTOR"), reason="OpenCV before 4.7")
 needs_animations = pytest.mark.skipif(
     not hasattr(cv2, "imencodeanimation"), reason="OpenCV before 4.12")
 
 
-def read_video(path, raw=False):
+def read_video(path):
     reader = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     assert reader.isOpened()
-    if raw:
-        reader.set(cv2.CAP_PROP_CONVERT_RGB, 0)
     frames = []
     while True:
         done, frame = reader.read()
@@ -101,54 +97,10 @@ def test_a_picture_that_was_added_may_be_drawn_over(tmp_path):
         assert np.abs(a.astype(int) - b).mean() < 6
 
 
-@needs_16_bits
-@pytest.mark.parametrize("suffix", [".mkv", ".avi"])
-@pytest.mark.parametrize("shape", [(32, 48), (33, 47)])
-def test_plane_video_returns_its_codes_exactly(tmp_path, suffix, shape):
-    path = tmp_path / f"plane{suffix}"
-    rng = np.random.default_rng(1)
-    planes = [rng.uniform(-0.1, 1.1, shape).astype(np.float32) for _ in range(3)]
-    valid = rng.random(shape) > 0.2
-    with export.PlaneVideo(path, 100, 0.0, 1.0) as video:
-        for plane in planes:
-            video.add_plane(plane, valid)
-    scale = video.scale
-    got = read_video(path, raw=True)
-    assert len(got) == 3
-    outside = 0
-    for code, plane in zip(got, planes, strict=True):
-        assert code.dtype == np.uint16
-        code = code.reshape(code.shape[:2])[:shape[0], :shape[1]]
-        np.testing.assert_array_equal(code == scale["invalid_code"], ~valid)
-        back = scale["offset"] + scale["step"] * code
-        inside = valid & (plane >= 0) & (plane <= 1)
-        assert np.abs(back - plane)[inside].max() <= scale["step"] * 0.501
-        np.testing.assert_allclose(back[valid], np.clip(plane, 0, 1)[valid],
-                                   atol=scale["step"])
-        outside += np.count_nonzero(valid & ~inside)
-    assert video.clipped == outside > 0
-
-
 def test_png_returns_the_picture(tmp_path):
     picture = pictures(1, (33, 35))[0]
     export.write_png(tmp_path / "a.png", picture)
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.png")), picture)
-
-
-def test_array_file_grows(tmp_path):
-    images = np.random.default_rng(0).random((1200, 3, 5)).astype(np.float32)
-    with export.ArrayFile(tmp_path / "a.npy") as file:
-        for image in images:
-            file.add(image)
-    np.testing.assert_array_equal(np.load(tmp_path / "a.npy"), images)
-
-
-def test_array_file_refuses_another_shape(tmp_path):
-    with pytest.raises(ValueError, match="image must be like the first"):  # noqa: PT012
-        with export.ArrayFile(tmp_path / "a.npy") as file:
-            file.add(np.zeros((2, 2)))
-            file.add(np.zeros((2, 3)))
-    assert not list(tmp_path.iterdir())
 
 
 def test_json_takes_numpy_numbers(tmp_path):
@@ -158,20 +110,12 @@ def test_json_takes_numpy_numbers(tmp_path):
         "t": [0, 1, 2], "step": 0.5, "path": str(tmp_path)}
 
 
-@pytest.mark.parametrize("make", [
-    lambda path: export.VideoFile(path.with_suffix(".mp4"), 25),
-    pytest.param(lambda path: export.PlaneVideo(path.with_suffix(".mkv"), 25, 0, 1),
-                 marks=needs_16_bits),
-    lambda path: export.ArrayFile(path.with_suffix(".npy"))])
-def test_what_is_interrupted_leaves_nothing_and_keeps_what_was_there(tmp_path, make):
+def test_what_is_interrupted_leaves_nothing_and_keeps_what_was_there(tmp_path):
     old = tmp_path / "x.mp4"
     old.write_text("before")
     with pytest.raises(KeyboardInterrupt):  # noqa: PT012
-        with make(tmp_path / "x") as file:
-            if isinstance(file, export.PlaneVideo):
-                file.add_plane(np.zeros((32, 32)))
-            else:
-                file.add(np.zeros((32, 32, 3), np.uint8))
+        with export.VideoFile(old, 25) as file:
+            file.add(np.zeros((32, 32, 3), np.uint8))
             raise KeyboardInterrupt
     assert [p.name for p in tmp_path.iterdir()] == ["x.mp4"]
     assert old.read_text() == "before"
@@ -229,16 +173,11 @@ def test_a_video_without_pictures_is_no_file(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@needs_16_bits
 def test_impossible_video_parameters_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"must end in \.webm.*got '\.gif'"):
         export.VideoFile(tmp_path / "x.gif", 25)
-    with pytest.raises(ValueError, match=r"must end in \.mkv or \.avi, got '\.mp4'"):
-        export.PlaneVideo(tmp_path / "x.mp4", 25, 0, 1)
     with pytest.raises(ValueError, match=r"must lie in 0\.01\.\.60000 .*, got 0"):
         export.VideoFile(tmp_path / "x.mp4", 0)
-    with pytest.raises(ValueError, match="high must be above low 1, got 1"):
-        export.PlaneVideo(tmp_path / "x.mkv", 25, 1, 1)
     with pytest.raises(FileNotFoundError):
         export.VideoFile(tmp_path / "nowhere" / "x.mp4", 25)
     assert not list(tmp_path.iterdir())
@@ -283,25 +222,6 @@ def test_a_full_disk_is_noticed(tmp_path, suffix, limit):
             with export.VideoFile(tmp_path / f"x{suffix}", 25) as video:
                 for _ in range(100):
                     video.add(rng.integers(0, 255, (64, 64, 3), np.uint8))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-        signal.signal(signal.SIGXFSZ, previous)
-    assert not list(tmp_path.iterdir())
-
-
-@needs_16_bits
-def test_a_full_disk_is_noticed_by_a_lossless_video(tmp_path):
-    resource = pytest.importorskip("resource")
-    import signal
-    noise = np.random.default_rng(0).random((64, 64))
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    previous = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
-    try:
-        with pytest.raises(OSError, match=r"could not all be|cannot write"):  # noqa: PT012
-            with export.PlaneVideo(tmp_path / "x.mkv", 25, 0, 1) as video:
-                for _ in range(50):
-                    video.add_plane(noise)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
         signal.signal(signal.SIGXFSZ, previous)

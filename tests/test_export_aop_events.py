@@ -1,6 +1,7 @@
 """pdavis export --what aop-events: what AopEvents gives, in files."""
 import csv
 import json
+import signal
 
 import aedat
 import cv2
@@ -36,6 +37,25 @@ def test_the_array_holds_the_stream(tmp_path, expected):
     facts = json.loads((tmp_path / "aop.npy.json").read_text())
     assert facts["units"]["aop"] == "rad"
     assert facts["correct_phase"] is True
+
+
+def test_a_disk_without_room_for_the_last_byte_is_an_error(tmp_path, capsys):
+    resource = pytest.importorskip("resource")
+    out = tmp_path / "aop.npy"
+    assert main(["export", SAMPLE, "-o", str(out), *MORE]) == 0
+    size = out.stat().st_size
+    out.unlink()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    previous = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size - 1, hard))
+    try:
+        code = main(["export", SAMPLE, "-o", str(out), *MORE])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, previous)
+    assert code == 1
+    assert str(out) in capsys.readouterr().err
+    assert not out.exists()
 
 
 def test_the_table_holds_it_in_degrees(tmp_path, expected):

@@ -137,7 +137,6 @@ SOURCES = {f"{name}-{i}": (name, make) for i, (name, make) in enumerate(makers()
 OUTPUTS = [
     *(("export", "-o", f"{{out}}/x{suffix}") for suffix in (
         ".npy", ".npz", ".ome.tif", ".h5", ".png", ".webm")),
-    ("export", "--lossless", "--quantities", "aop", "-o", "{out}/x.mkv"),
     ("info",), ("info", "--scan", "--json"), ("convert", "{out}/y.aedat4"),
     ("tendon", "--no-video", "-o", "{out}/tendon"),
     ("fan", "-o", "{out}/fan.webm", "--slow", "8"),

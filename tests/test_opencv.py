@@ -4,9 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from pdavis_cv._opencv import needs_opencv, opencv, set_log_level
+from pdavis_cv._opencv import opencv, set_log_level
 from pdavis_cv.export.animation import AnimationFile
-from pdavis_cv.export.video import PlaneVideo
 
 
 def test_an_opencv_for_numpy_1_is_refused_by_name(tmp_path, monkeypatch):
@@ -23,17 +22,6 @@ def test_an_animation_names_the_opencv_that_it_needs(tmp_path, monkeypatch):
     with pytest.raises(ImportError, match=r"animation .*needs OpenCV 4\.12.*is 4\.10"):
         AnimationFile(tmp_path / "a.gif", 10)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_lossless_video_names_the_opencv_that_it_needs(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "cv2", SimpleNamespace(__version__="4.6.0"))
-    with pytest.raises(ImportError, match=r"16-bit video needs OpenCV 4\.7.*is 4\.6"):
-        PlaneVideo(tmp_path / "a.mkv", 10, 0, 1)
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_function_that_there_is_is_not_refused():
-    assert needs_opencv("imencode", "4.12", "this") is opencv()
 
 
 def test_the_log_level_is_set_and_the_one_before_returned():

@@ -13,6 +13,7 @@ import pytest
 from pdavis_cv import PolarFrame, open_recording
 from pdavis_cv.export import (
     Hdf5File,
+    NpyFile,
     NpzFile,
     OmeTiffFile,
     OmeZarrFile,
@@ -174,7 +175,7 @@ def test_npz_returns_numbers_times_and_provenance(tmp_path):
 
 
 KINDS = [(OmeTiffFile, "a.ome.tif"), (Hdf5File, "a.h5"), (NpzFile, "a.npz"),
-         (OmeZarrFile, "a.ome.zarr")]
+         (NpyFile, "a.npy"), (OmeZarrFile, "a.ome.zarr")]
 
 
 @pytest.mark.parametrize(("kind", "name"), KINDS)
@@ -210,7 +211,9 @@ def test_an_interrupted_stack_continues_to_the_same_numbers(tmp_path, kind, name
         assert file.count == 3
         for frame in list(images(6))[3:]:
             file.add(frame)
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([name, f"whole-{name}"])
+    beside = [f"{name}.json", f"whole-{name}.json"] if kind is NpyFile else []
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(
+        [name, f"whole-{name}", *beside])
     a, b = _numbers(stop), _numbers(whole)
     assert a.keys() == b.keys()
     for key in a:
@@ -218,6 +221,8 @@ def test_an_interrupted_stack_continues_to_the_same_numbers(tmp_path, kind, name
 
 
 def _numbers(path):
+    if path.suffix == ".npy":
+        return {"all": np.load(path)}
     if path.suffix == ".npz":
         with np.load(path) as file:
             return {key: file[key] for key in file.files}

@@ -87,29 +87,6 @@ def test_facts_travel_inside_videos_that_still_play(tmp_path, suffix):
     assert abs(float(shown[5].mean()) - 100) < 4
 
 
-def test_ffv1_returns_exactly_with_its_scale_inside(tmp_path):
-    cv2 = pytest.importorskip("cv2")
-    rng = np.random.default_rng(1)
-    planes = rng.uniform(0, 1, (6, 13, 17)).astype(np.float32)
-    path = tmp_path / "dolp.mkv"
-    with export.PlaneVideo(path, 20, 0, 1, FACTS) as video:
-        for plane in planes:
-            video.add_plane(plane)
-    scale = read_embedded(path)["scale"]
-    reader = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [
-        cv2.CAP_PROP_CONVERT_RGB, 0])
-    codes = []
-    while (got := reader.read())[0]:
-        codes.append(got[1])
-    reader.release()
-    codes = np.squeeze(np.stack(codes))
-    assert codes.dtype == np.uint16
-    np.testing.assert_array_equal(
-        codes[:, :13, :17], np.rint(planes.astype(np.float64) * 65534) + 1)
-    back = scale["offset"] + scale["step"] * codes[:, :13, :17]
-    np.testing.assert_allclose(back, planes, atol=0.51 / 65534)
-
-
 def test_facts_travel_inside_a_png(tmp_path):
     cv2 = pytest.importorskip("cv2")
     picture = np.random.default_rng(2).integers(0, 255, (9, 11, 3), np.uint8)

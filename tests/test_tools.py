@@ -27,10 +27,8 @@ def run(*arguments):
     return main([str(argument) for argument in arguments])
 
 
-def frames_of(path, raw=False):
+def frames_of(path):
     reader = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    if raw:
-        reader.set(cv2.CAP_PROP_CONVERT_RGB, 0)
     frames = []
     while (got := reader.read())[0]:
         frames.append(got[1])
@@ -81,7 +79,6 @@ def test_version(capsys):
     (["export", SAMPLE, "-o", "x.png", "--at", "100"],
      "no image at 100 s or later: the recording covers 0 .. "),
     (["export", SAMPLE, "-o", "x.png", "--at", "-1"], "must not be negative, got -1"),
-    (["export", SAMPLE, "-o", "x.mkv", "--lossless"], "--lossless writes one"),
     (["export", SAMPLE, "-o", "x.png", "--at", "0.1", "--fps", "5"], "--at is one"),
     (["export", SAMPLE, "-o", "x.mp4", "--set", "cutoff_hz"], "NAME=VALUE"),
     (["export", SAMPLE, "-o", "x.mp4", "--set", "no_such=1"], "no_such"),
@@ -203,24 +200,6 @@ def test_export_npy_holds_the_images_of_fuse(tmp_path):
     assert facts["units"] == ["rad", "DN/ms"]
     assert facts["t_us"] == [image.t_us for image in images]
     assert facts["provenance"]["method"] == images[0].provenance["method"]
-
-
-def test_export_lossless_returns_the_quantity_within_half_a_step(tmp_path):
-    path = tmp_path / "x.mkv"
-    assert run("export", SAMPLE, "-o", path, "--fps", 100, "--layout", "pdavis",
-               "--quantities", "s0", "--lossless", "--roi", "10,20,41,33") == 0
-    codes, _ = frames_of(path, raw=True)
-    facts = json.loads((tmp_path / "x.mkv.json").read_text())
-    with pdavis_cv.open_recording(SAMPLE) as recording:
-        images = list(pdavis_cv.fuse(recording, fps=100, roi=(10, 20, 41, 33),
-                                     layout=pdavis_cv.Layout.PDAVIS))
-    assert len(codes) == len(images) == len(facts["t_us"])
-    assert facts["clipped"] == 0
-    for code, image in zip(codes, images, strict=True):
-        code = code.reshape(code.shape[:2])[:facts["height"], :facts["width"]]
-        back = facts["offset"] + facts["step"] * code
-        np.testing.assert_array_equal(code == facts["invalid_code"], ~image.valid)
-        assert np.abs(back - image.s0)[image.valid].max() <= 0.51 * facts["step"]
 
 
 def test_export_png_at_a_time_is_one_picture(tmp_path):

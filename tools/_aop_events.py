@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -107,8 +108,10 @@ def _csv(path: Path, pieces: Iterator[Events], facts: dict[str, Any]) -> int:
 def _npy(path: Path, pieces: Iterator[Events], facts: dict[str, Any]) -> int:
     found = [np.empty(0, AOP_EVENT_DTYPE), *pieces]
     together = np.concatenate(found)
-    with write_beside(path) as part, part.open("wb") as file:
-        np.save(file, together)
+    array = io.BytesIO()    # numpy.save does not notice that a disk is full
+    np.save(array, together)
+    with write_beside(path) as part:
+        part.write_bytes(array.getbuffer())
     export.write_json(path.with_suffix(".npy.json"), {
         **facts, "units": {"t": "us", "x": "pixel", "y": "pixel", "aop": "rad"}})
     return len(together)

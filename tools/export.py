@@ -3,11 +3,10 @@
 The suffix of OUT determines the output: .webm (browsers play it), .mp4 (H.264, which
 slide programs play, where PyAV has an encoder, else VP9), .mkv and .avi a colour video;
 .webp and .gif the same for slides; .png pictures and .pdf or .svg figures for print,
-numbered if there are several; .npy float arrays (AoP in radians); .ome.tif, .ome.zarr,
-.h5 and .npz stacks with names, units, times and provenance, which --resume can
-continue; .mcap and .db3 ROS 2 bags with the quantities as 32FC1 images and a colour
-picture.  With --lossless, .mkv or .avi hold one quantity in 16 bits (FFV1).  Times,
-units and scales of these and of .npy are written to a .json file next to it.
+numbered if there are several; .ome.tif, .ome.zarr, .h5, .npz and .npy float stacks (AoP
+in radians) with names, units, times and provenance, of .npy in a .json file next to it,
+which --resume can continue; .mcap and .db3 ROS 2 bags with the quantities as 32FC1
+images and a colour picture.
 """
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ import numpy as np
 from pdavis_cv import PolarFrame, Recording, export, fuse, render
 from pdavis_cv._opencv import opencv
 from pdavis_cv.mosaic import HALF_SIZE
-from pdavis_cv.quantities import GROUPS, INTENSITY, QUANTITIES, Quantity, chosen
+from pdavis_cv.quantities import GROUPS, INTENSITY, QUANTITIES, chosen
 from pdavis_cv.render.colours import Picture
 
 from ._aop_events import SUFFIXES, export_aop_events
@@ -49,10 +48,9 @@ __all__ = ["Sheet", "main"]
 
 _STACKS: dict[str, type[export.StackFile]] = {
     ".tif": export.OmeTiffFile, ".h5": export.Hdf5File, ".npz": export.NpzFile,
-    ".zarr": export.OmeZarrFile}
+    ".npy": export.NpyFile, ".zarr": export.OmeZarrFile}
 _BAGS = (".mcap", ".db3")
 _COLOUR = (".webm", ".mp4", ".m4v", ".mkv", ".avi", *export.ANIMATIONS)
-_PLANE = (".mkv", ".avi")
 _LEAST_WIDTH = 240      # of a panel: below, captions do not fit
 _FIGURE_PIXELS = 700    # of a panel of a figure with a scale bar, whose text is pixels
 _WIDTH_MM, _DPI = 180.0, 300.0
@@ -65,25 +63,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     suffix = args.out.suffix.lower()
     if args.what == "aop-events":
         return _aop_events(args, suffix)
-    if suffix not in (*_COLOUR, *export.FIGURES, ".npy", *_STACKS, *_BAGS):
-        raise UsageError(
-            f"-o must end in {', '.join((*_COLOUR, *export.FIGURES))}, .npy, "
-            f"{', '.join((*_STACKS, *_BAGS))}, got {args.out}")
+    known = (*_COLOUR, *export.FIGURES, *_STACKS, *_BAGS)
+    if suffix not in known:
+        raise UsageError(f"-o must end in {', '.join(known)}, got {args.out}")
     if figure(args) and find_spec("matplotlib") is None:
         raise UsageError("a figure needs matplotlib: pip install matplotlib")
     if args.resume and suffix not in _STACKS:
         raise UsageError(f"--resume continues {', '.join(_STACKS)}, got {args.out}")
-    if args.lossless and (suffix not in _PLANE or len(args.quantities) != 1):
+    if _ranges(args) and suffix in _STACKS:
         raise UsageError(
-            "--lossless writes one quantity to .mkv or .avi, got "
-            f"{','.join(args.quantities)} and {args.out}")
-    ranges = _ranges(args)
-    if ranges and suffix in (".npy", *_STACKS):
-        raise UsageError(
-            f"--range is for pictures and --lossless; {suffix} holds the numbers "
-            "themselves")
+            f"--range is for pictures; {suffix} holds the numbers themselves")
     checked_out(args.out, args.file)
-    if suffix not in (".npy", *_STACKS):
+    if suffix not in _STACKS:
         opencv()  # report a missing package before the work
     with opened(args) as recording:
         options = fuse_options(args, recording)
@@ -106,17 +97,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         total = _expected(recording, options, first)
         frames = iter(progress(itertools.chain(first, images), total, "images"))
         facts: dict[str, Any]
-        if suffix == ".npy":
-            lines, facts = _write_arrays(args, frames, recording)
-        elif suffix in _STACKS:
+        if suffix in _STACKS:
             lines, facts = _write_stack(args, frames, recording, first[0])
         elif suffix in _BAGS:
             lines, facts = _write_bag(args, frames, recording, first[0])
         elif suffix in export.FIGURES:
             lines, facts = _write_pictures(
                 args, frames, Sheet(args, recording, first[0]), single=len(first) == 1)
-        elif args.lossless:
-            lines, facts = _write_plane(args, frames, rate, recording, first[0])
         else:
             lines, facts = _write_video(
                 args, frames, rate, Sheet(args, recording, first[0]))
@@ -166,14 +153,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="LIST",
         help=f"quantities from {', '.join(_names())}; default s0,aop,dolp")
     parser.add_argument(
-        "--lossless", action="store_true", help="write one quantity as 16-bit FFV1")
-    parser.add_argument(
         "--range", type=_range, action="append", default=[],
         metavar="[NAME=]LOW,HIGH", dest="ranges",
-        help="values at the ends of a quantity's colours or of the 16-bit scale, e.g. "
-             "dolp=0,0.3 (for dolp, the upper one is also that of full colour in faded "
-             "AoP); repeatable; default: dolp 0,1, intensities up to --white, and for "
-             "16 bits all possible values")
+        help="values at the ends of a quantity's colours, e.g. dolp=0,0.3 (the upper "
+             "one is also that of full colour in faded AoP); repeatable; default: dolp "
+             "0,1, intensities up to --white")
     parser.add_argument(
         "--pixel-um", type=positive, metavar="UM",
         help="size of a pixel in the object: pictures get a scale bar, stacks "
@@ -263,7 +247,7 @@ def _ranges(args: argparse.Namespace) -> dict[str, tuple[float, float]]:
         if name not in args.quantities and not (
                 name == "dolp" and "aop" in args.quantities):
             raise UsageError(f"--range {name}: it is not among --quantities")
-        if name == "aop" and not args.lossless:
+        if name == "aop":
             raise UsageError("--range aop: colours of the angle go round, 0 to 180 deg")
         found[name] = low, high
     return found
@@ -430,31 +414,6 @@ def _expected(
     return math.ceil((stop - first[0].t_us) * fps / 1e6)
 
 
-class _Log:
-    """Record times and provenance of images during an iteration, for the JSON file."""
-
-    def __init__(self, frames: Iterator[PolarFrame], recording: Recording) -> None:
-        self._frames, self._recording = frames, recording
-        self.times: list[int | None] = []
-        self.frame_times: list[int | None] = []
-        self.facts: dict[str, Any] = {}
-
-    def __iter__(self) -> Iterator[PolarFrame]:
-        for frame in self._frames:
-            self.times.append(frame.t_us)
-            self.frame_times.append(frame.frame_us)
-            if not self.facts:
-                self.facts = {"provenance": export.provenance(
-                    frame.provenance, self._recording)}
-            yield frame
-
-    def write(self, path: Path, **facts: Any) -> Path:
-        beside = path.with_suffix(path.suffix + ".json")
-        export.write_json(beside, {
-            **self.facts, **facts, "t_us": self.times, "frame_us": self.frame_times})
-        return beside
-
-
 def _write_video(
     args: argparse.Namespace, frames: Iterator[PolarFrame], rate: float, sheet: Sheet
 ) -> tuple[list[str], dict[str, Any]]:
@@ -499,41 +458,6 @@ def _write_pictures(
         "wrote": written, "images": len(written), "white": sheet.white}
 
 
-def _write_plane(
-    args: argparse.Namespace, frames: Iterator[PolarFrame], rate: float,
-    recording: Recording, first: PolarFrame,
-) -> tuple[list[str], dict[str, Any]]:
-    name = args.quantities[0]
-    one, unit = QUANTITIES[name], export.units([name], recording)[name]
-    low, high = _ranges(args).get(name) or _natural_range(one, recording)
-    log = _Log(frames, recording)
-    facts = export.provenance(
-        first.provenance, recording, quantity=name, unit=unit)
-    with export.PlaneVideo(args.out, rate, low, high, facts) as video:
-        for frame in log:
-            video.add_plane(one.of(frame), frame.valid)
-    beside = log.write(
-        args.out, quantity=name, unit=unit, **video.scale,
-        clipped=video.clipped, height=first.shape[0], width=first.shape[1],
-        playing_fps=rate)
-    lines = [f"wrote {args.out}: {video.count} images of {name}, 16 bits for "
-             f"{low:g} .. {high:g} {unit}",
-             f"wrote {beside}: times and scale"]
-    if video.clipped:
-        lines.append(f"{video.clipped} samples were beyond that range and clipped")
-    return lines, {"wrote": [args.out, beside], "images": video.count,
-                   "playing_fps": rate, "clipped": video.clipped, **video.scale}
-
-
-def _natural_range(one: Quantity, recording: Recording) -> tuple[float, float]:
-    """Return the largest range of a quantity that the camera's converter allows."""
-    top = full_scale(recording) if one.unit == INTENSITY else 1.0
-    if top is None:
-        raise UsageError(
-            f"--range is needed: no frame says how large {one.name} can be")
-    return one.ends(top)
-
-
 def _write_stack(
     args: argparse.Namespace, frames: Iterator[PolarFrame], recording: Recording,
     first: PolarFrame,
@@ -553,27 +477,6 @@ def _write_stack(
     return [line], {"wrote": [args.out], "images": file.count,
                     "shape": [file.count, len(file.quantities), height, width],
                     "continued": done}
-
-
-def _write_arrays(
-    args: argparse.Namespace, frames: Iterator[PolarFrame], recording: Recording
-) -> tuple[list[str], dict[str, Any]]:
-    log, names = _Log(frames, recording), args.quantities
-    with export.ArrayFile(args.out) as file:
-        for frame in log:
-            planes = np.stack([
-                QUANTITIES[name].of(frame).astype(np.float32) for name in names])
-            planes[:, ~frame.valid] = np.nan
-            file.add(planes)
-            shape = planes.shape
-    beside = log.write(
-        args.out, axes="T, quantity, row, column", quantities=names,
-        units=[*export.units(names, recording).values()], invalid="NaN")
-    size = " x ".join(map(str, (file.count, *shape)))
-    lines = [f"wrote {args.out}: float32, {size} ({', '.join(names)})",
-             f"wrote {beside}: times and scale"]
-    return lines, {"wrote": [args.out, beside], "images": file.count,
-                   "shape": [file.count, *shape]}
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ from .aop_events import (
     AopEventsFile as AopEventsFile,
     read_aop_events as read_aop_events,
 )
-from .arrays import ArrayFile as ArrayFile
 from .bag import BagFile as BagFile
 from .embedded import (
     light_unit as light_unit,
@@ -23,6 +22,7 @@ from .figure import (
 from .files import write_json as write_json
 from .hdf5 import Hdf5File as Hdf5File
 from .labelled import to_xarray as to_xarray
+from .npy import NpyFile as NpyFile
 from .npz import NpzFile as NpzFile
 from .ometiff import (
     OmeTiffFile as OmeTiffFile,
@@ -36,7 +36,6 @@ from .tables import (
     write_traces as write_traces,
 )
 from .video import (
-    PlaneVideo as PlaneVideo,
     VideoFile as VideoFile,
     write_png as write_png,
 )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
-from pdavis_cv._opencv import needs_opencv
+from pdavis_cv._opencv import opencv
 from pdavis_cv._types import Facts, Image
 from pdavis_cv.export.embedded import embed
 from pdavis_cv.export.files import SeriesFile
@@ -63,8 +63,11 @@ class AnimationFile(SeriesFile):
             raise ValueError(
                 f"fps must lie in 0.01..{_MOST_FPS[suffix]:g} for {suffix}, got "
                 f"{fps:g}; play it slower")
-        self._cv2 = needs_opencv(
-            "imencodeanimation", "4.12", f"an animation ({suffix}; .webm needs less)")
+        self._cv2 = opencv()
+        if not hasattr(self._cv2, "imencodeanimation"):
+            raise ImportError(
+                f"an animation ({suffix}; .webm needs less) needs OpenCV 4.12 or "
+                f"later, this is {self._cv2.__version__}")
         self._pictures: list[NDArray[np.uint8]] = []
         self._stack = contextlib.ExitStack()
         self._part = self._stack.enter_context(write_beside(self.path))

@@ -11,17 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
-from pdavis_cv._opencv import needs_opencv, opencv, set_log_level
+from pdavis_cv._opencv import opencv, set_log_level
 from pdavis_cv._types import Facts, Image
 from pdavis_cv.export.embedded import embed, embed_png
 from pdavis_cv.export.files import SeriesFile
 from pdavis_cv.export.h264 import H264Writer, h264_encoder
 from pdavis_cv.render import even, png_of
 
-__all__ = ["PlaneVideo", "VideoFile", "write_png"]
+__all__ = ["VideoFile", "write_png"]
 
 # Browsers play VP8 in WebM and VP9 in MP4, and every OpenCV wheel can write both; none
 # can write H.264, which slide programs need: that is PyAV's, where it is installed.  At
@@ -59,26 +58,25 @@ class VideoFile(SeriesFile):
         On writing, if the codec cannot write the file.
     """
 
-    _grey = False
-
     def __init__(
         self, path: str | os.PathLike[str], fps: float,
         facts: Facts | None = None,
     ) -> None:
         self.facts = facts
         self.path = Path(path)
-        self._fourcc = self._codec(self.path.suffix.lower())
-        self._h264 = (h264_encoder() if self.path.suffix.lower() in (".mp4", ".m4v")
-                      else None)
-        most = _MOST_FPS[self.path.suffix.lower()]
+        suffix = self.path.suffix.lower()
+        if suffix not in _CODECS:
+            raise ValueError(
+                f"video file must end in {', '.join(_CODECS)}, got {suffix!r}")
+        self._fourcc = _CODECS[suffix]
+        self._h264 = h264_encoder() if suffix in (".mp4", ".m4v") else None
+        most = _MOST_FPS[suffix]
         if not LEAST_FPS <= fps <= most:
             raise ValueError(
-                f"fps must lie in {LEAST_FPS:g}..{most:g} for "
-                f"{self.path.suffix.lower()}, got {fps:g}")
+                f"fps must lie in {LEAST_FPS:g}..{most:g} for {suffix}, got {fps:g}")
         self.fps, self.count = float(fps), 0
         self._cv2 = opencv()
         self._stack = contextlib.ExitStack()
-        suffix = self.path.suffix.lower()
         self._part = self._stack.enter_context(write_beside(
             self.path, ".mkv" if suffix == ".webm" else None))
         try:
@@ -98,13 +96,6 @@ class VideoFile(SeriesFile):
     def codec(self) -> str:
         """What the pictures are encoded in."""
         return f"H.264 ({self._h264})" if self._h264 else self._fourcc
-
-    @staticmethod
-    def _codec(suffix: str) -> str:
-        if suffix not in _CODECS:
-            raise ValueError(
-                f"video file must end in {', '.join(_CODECS)}, got {suffix!r}")
-        return _CODECS[suffix]
 
     def add(self, picture: Image) -> None:
         """Append a copy of a picture.
@@ -153,13 +144,9 @@ class VideoFile(SeriesFile):
             self._writer = H264Writer(self._part, self.fps, (shape[1], shape[0]))
             return
         cv2 = self._cv2
-        parameters = [cv2.VIDEOWRITER_PROP_IS_COLOR, int(not self._grey)]
-        if self._grey:
-            parameters += [cv2.VIDEOWRITER_PROP_DEPTH, cv2.CV_16U]
         self._writer = cv2.VideoWriter(
             str(self._part), cv2.CAP_FFMPEG,
-            cv2.VideoWriter_fourcc(*self._fourcc), self.fps, (shape[1], shape[0]),
-            parameters)
+            cv2.VideoWriter_fourcc(*self._fourcc), self.fps, (shape[1], shape[0]))
         if not self._writer.isOpened():
             raise OSError(
                 f"{self.path}: OpenCV cannot write {self._fourcc} of "
@@ -270,79 +257,6 @@ def _ended(path: Path) -> bool:
             at += length
             file.seek(at)
     return False
-
-
-class PlaneVideo(VideoFile):
-    """A lossless 16-bit video (FFV1) of one quantity, on a fixed linear scale.
-
-    Code 0 stands for a pixel that is not valid, 1..65535 for `low`..`high`; values
-    beyond are clipped and counted.  A side that is odd is padded by repeating the
-    last row or column.
-
-    Parameters
-    ----------
-    path : path
-        ``.mkv`` or ``.avi``; appears when it is whole.
-    fps : float
-        Pictures per second of playing.
-    low, high : float
-        Values of codes 1 and 65535.
-    facts : mapping of str to object, optional
-        Provenance to embed, with the scale.
-
-    Raises
-    ------
-    ValueError
-        If the suffix is another, or `high` is not above `low`.
-    ImportError
-        If OpenCV is older than 4.7.
-    """
-
-    _grey = True
-
-    def __init__(
-        self, path: str | os.PathLike[str], fps: float, low: float, high: float,
-        facts: Facts | None = None,
-    ) -> None:
-        if not high > low:
-            raise ValueError(f"high must be above low {low}, got {high}")
-        # The constant is as old as the 16-bit codec.
-        needs_opencv("IMWRITE_JPEG_SAMPLING_FACTOR", "4.7", "a lossless 16-bit video")
-        self.low, self.high, self.clipped = float(low), float(high), 0
-        super().__init__(
-            path, fps, None if facts is None else {**facts, "scale": self.scale})
-
-    @staticmethod
-    def _codec(suffix: str) -> str:
-        if suffix not in (".mkv", ".avi"):
-            raise ValueError(f"lossless video must end in .mkv or .avi, got {suffix!r}")
-        return "FFV1"
-
-    @property
-    def scale(self) -> dict[str, float]:
-        """Offset and step of the values, which are ``offset + step * code``."""
-        step = (self.high - self.low) / 65534
-        return {"offset": self.low - step, "step": step, "invalid_code": 0}
-
-    def add_plane(
-        self, plane: Image, valid: NDArray[np.bool_] | None = None
-    ) -> None:
-        """Append one image of the quantity.
-
-        Parameters
-        ----------
-        plane : ndarray of float, shape (H, W)
-            Values.
-        valid : ndarray of bool, shape (H, W), optional
-            True = usable.
-        """
-        usable = np.isfinite(plane)
-        if valid is not None:
-            usable &= valid
-        code = (plane.astype(np.float64) - self.low) * (65534 / (self.high - self.low))
-        self.clipped += int(np.count_nonzero(usable & ((code < 0) | (code > 65534))))
-        code = np.rint(np.clip(np.where(usable, code, 0), 0, 65534)) + 1
-        self.add(np.where(usable, code, 0).astype(np.uint16))
 
 
 def write_png(
