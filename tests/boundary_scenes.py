@@ -1,4 +1,4 @@
-"""Rows of the table of boundaries.py: scenes, elements and parts of a camera."""
+"""Rows of the table of boundaries.py: scenes and parts of a camera."""
 import itertools
 
 import numpy as np
@@ -21,7 +21,7 @@ def kinds():
     s, turn = simulation, {"rpm": 60.0, "s0": 30.0, "start_angle": 0.1}
     flat = s.FlatLight()
     scenes = [
-        (s.FlatLight, {"s0": 30.0, "dolp": 0.5, "aop": 0.3, "docp": 0.2}),
+        (s.FlatLight, {"s0": 30.0, "dolp": 0.5, "aop": 0.3}),
         (s.RotatingPolarizer, {**turn, "dolp": 1.0}),
         (s.PolarizerBeforePlate, {**turn, "axis": 0.2, "retardance": 1.5}),
         (s.RotatingPlate, {**turn, "polarizer": 0.2, "retardance": 1.5}),
@@ -32,7 +32,6 @@ def kinds():
             "hold_us": 1e5, "dn_per_ms": 27.0, "start_angle": 0.1}),
         (s.Sum, {"first": flat, "second": flat}),
         (s.Flicker, {"scene": flat, "hz": 100.0, "depth": 0.2}),
-        (s.Behind, {"scene": flat, "matrix": s.Waveplate().mueller()}),
         (s.Fan, {**turn, "bright": 2000.0, "centre": (2.0, 2.0), "radius": 2.5,
                  "hub": 0.5, "edge": 0.5, "opaque": 0.05}),
         (s.Tendon, {
@@ -68,26 +67,16 @@ def kinds():
         ("bus", s.Bus, {"rate_hz": 1e7, "row_us": 0.1}),
         ("faults", s.Faults, {"frame_offset_us": -5000, "jitter_us": 10.0, "lost": 0.1,
                               "drift_on": 0.1, "drift_off": 0.1}),
-        ("temperature", s.Temperature, {
-            "start_c": 25.0, "end_c": 45.0, "rise_s": 600.0, "reference_c": 25.0,
-            "activation_ev": 0.56, "threshold_per_k": 0.001}),
         ("optics", s.Optics, {
             "extinction_ratio": 40.0, "extinction_ratio_sigma": 3.0,
             "angle_sigma": 0.01, "angle_smooth": 0.01, "gain_sigma": 0.02,
-            "gain_smooth": 0.1, "layout": s.Optics().layout, "lens": s.Lens(),
-            "crosstalk": ((0.0, 0.01, 0.0), (0.01, 0.96, 0.01), (0.0, 0.01, 0.0))}),
+            "gain_smooth": 0.1, "layout": s.Optics().layout}),
     ]
-    lens = {"f_number": 2.8, "chief_ray": 0.1, "half_ratio": 0.3,
-            "diattenuation": 0.01, "retardance": 0.03}
-    plate = {"retardance": 1.5, "axis": 0.2, "design_nm": 550.0, "order": 1,
-             "achromatic": False}
     wheel = {"centre": (2.0, 2.0), "radius": 2.0, "hub": 0.5, "sectors": 6,
              "rpm": 60.0, "start_angle": 0.1, "origin_us": 10, "margin": 0.1}
     return [
         *((kind.__name__, kind, good, seen) for kind, good in scenes),
         *((kind.__name__, kind, good, filmed(part)) for part, kind, good in parts),
-        ("Lens", s.Lens, lens, lambda it: filmed("optics")(s.Optics(lens=it))),
-        ("Waveplate", s.Waveplate, plate, lambda it: it.mueller(600.0)),
         ("Wheel", Wheel, wheel, lambda it: it.labels(10**6, (SIDE, SIDE))),
     ]
 
@@ -97,9 +86,8 @@ def seen(scene):
     assert scene.step_us > 0
     scene.stokes(T_US, X, Y)
     scene.stokes(0, 1, 1)
-    scene.s3(T_US, X, Y)
     scene.lit(X, Y)
-    assert isinstance(bool(scene.uniform and scene.linear and scene.circular), bool)
+    assert isinstance(bool(scene.uniform and scene.linear), bool)
 
 
 def filmed(part):
@@ -126,8 +114,8 @@ def rows():
     return [
         *((name, used(kind, use), good) for name, kind, good, use in kinds()),
         ("Camera", s.Camera, {
-            **preset, "faults": s.Faults(), "temperature": s.Temperature(), "seed": 0,
-            "size": (SIDE, SIDE), "origin": (0, 0), "sensor": camera.sensor,
+            **preset, "faults": s.Faults(), "seed": 0, "size": (SIDE, SIDE),
+            "origin": (0, 0), "sensor": camera.sensor,
             "name": "a camera"}),
         ("Camera.stream", stream, {
             "scene": s.FlatLight(), "seconds": 0.02, "run": 0, "threads": 1,

@@ -6,7 +6,9 @@ from ideal import rotating_polarizer
 from pdavis_cv.simulation import (
     Camera,
     FlatLight,
+    FunctionScene,
     RotatingPolarizer,
+    VideoScene,
 )
 
 
@@ -53,6 +55,30 @@ def test_region_threads_and_repetition_do_not_change_a_pixel(preset):
         cropped[np.lexsort((cropped["x"], cropped["y"], cropped["t"]))])
     np.testing.assert_array_equal(frames[1].reset[20:24, 2:8], cropped_frames[1].reset)
     np.testing.assert_array_equal(frames[1].dn[20:24, 2:8], cropped_frames[1].dn)
+
+
+def test_uniform_light_is_the_same_when_it_is_simulated_pixel_by_pixel():
+    scene = RotatingPolarizer(rpm=200)
+    same = FunctionScene(scene.stokes, sampling_us=scene.step_us)
+    camera = Camera.preset(
+        "ideal", optics={"gain_sigma": 0.02, "angle_sigma": 0.01}, size=(8, 8))
+    (events, frames), (others, again) = (
+        drain(camera.record(light, 0.2)[0]) for light in (scene, same))
+    np.testing.assert_allclose(
+        [frame.dn for frame in frames], [frame.dn for frame in again], rtol=1e-6)
+    assert len(frames) == 4
+    assert len(events) == len(others) > 500
+
+
+def test_a_pixel_that_sees_a_video_is_the_same_in_a_larger_region():
+    rng = np.random.default_rng(3)
+    video = VideoScene(rng.random((4, 4, 40, 40)) + 0.2, 50.0, origin=(90, 90))
+    optics = {"gain_sigma": 0.02, "angle_sigma": 0.01}
+    large = Camera.preset("ideal", optics=optics, size=(20, 20), origin=(100, 100))
+    small = Camera.preset("ideal", optics=optics, size=(8, 8), origin=(104, 106))
+    (_, one), (_, other) = (drain(camera.record(video, 0.06, threads=threads)[0])
+                            for camera, threads in ((large, 2), (small, 1)))
+    np.testing.assert_allclose(one[0].dn[4:12, 6:14], other[0].dn, rtol=1e-6)
 
 
 def test_runs_differ_in_noise_and_specimens_in_maps():

@@ -17,11 +17,9 @@ from pdavis_cv.recording.stream import source_from_packets
 from pdavis_cv.sensor import Sensor
 from pdavis_cv.simulation import (
     DEFAULT_CAMERA,
-    LENSES,
     PRESETS,
     SCENES,
     Camera,
-    Temperature,
     named_scene,
 )
 
@@ -65,9 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if args.seconds > LONGEST_S:
         raise UsageError(
             f"--seconds must be at most {LONGEST_S:g}, got {args.seconds:g}")
-    changes = {name: value for name in ("optics", "temperature")
-               if (value := getattr(args, name)) is not None}
-    camera = Camera.preset(args.camera, seed=args.seed, size=size, **changes)
+    camera = Camera.preset(args.camera, seed=args.seed, size=size)
     if camera.dvs is None and args.out.suffix == ".aedat":
         raise UsageError("AEDAT-2.0 is for event cameras; use a .aedat4 file")
     checked_out(args.out, recording=True, force=args.force)
@@ -98,14 +94,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--camera", choices=list(PRESETS), default=DEFAULT_CAMERA,
         help=f"default {DEFAULT_CAMERA}")
-    parser.add_argument(
-        "--optics", choices=list(LENSES),
-        help="lens and crosstalk in front of the sensor; default none: light reaches "
-             "the polarizers directly")
-    parser.add_argument(
-        "--temperature", type=_temperature, metavar="C[,C]",
-        help="temperature of the chip in degrees Celsius, at the start and after "
-             "warming up for some ten minutes; default 25, that of calibrations")
     parser.add_argument(
         "--seconds", type=positive, default=3.0, help="duration, default 3")
     parser.add_argument(
@@ -147,16 +135,6 @@ def _parser() -> argparse.ArgumentParser:
 def _size(text: str) -> tuple[int, int]:
     width, height = numbers(text.lower().replace("x", ","), 2, int)
     return height, width
-
-
-def _temperature(text: str) -> Temperature:
-    start, *rest = numbers(text, 1 + text.count(","), float)
-    try:
-        if len(rest) > 1:
-            raise ValueError(f"--temperature must be one or two numbers, got {text!r}")
-        return Temperature(start_c=start, end_c=rest[0] if rest else None)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 if __name__ == "__main__":

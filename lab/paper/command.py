@@ -46,7 +46,6 @@ from . import (
     demosaic,
     denoise,
     fan_images,
-    lens_effects,
     light,
     network,
     optics_bench,
@@ -227,14 +226,10 @@ def _tables(figure: str, stem: Path, settings: Settings) -> Result:
 
 
 def _optics(figure: str, stem: Path, settings: Settings) -> Result:
-    """Extinction ratio by wavelength and while aligning, and what a lens does."""
-    effects = list(lens_effects.effects(settings))
-    write_rows(
-        stem, effects, _facts(figure, settings), lens_effects.Effect, "-effects")
+    """Extinction ratio by wavelength and while aligning."""
     return _written(
         figure, stem, settings, optics_bench.Point, optics_bench.points(settings),
-        lambda found: [*optics_bench.bench_page(found),
-                       *lens_effects.effects_page(effects)], optics_bench.bench_figure)
+        optics_bench.bench_page, optics_bench.bench_figure)
 
 
 def _fan_images(figure: str, stem: Path, settings: Settings) -> Result:
@@ -358,8 +353,7 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
             "STEM.html with the pictures", _all),
     "demosaic": ("demosaicing, on scenes of known polarization", _demosaicing),
     "denoise": ("noise left and true events kept by denoising", _denoising),
-    "optics": ("extinction ratio by wavelength and while aligning; what a lens does",
-               _optics),
+    "optics": ("extinction ratio by wavelength and while aligning", _optics),
     "score": ("the score of pdavis score beside the score by the truth", _both_scores),
     "tables": ("the supplement's tables: specification, methods", _tables),
     "transfer": ("transfer functions, measured beside theory", _transfer),

@@ -1,11 +1,11 @@
-"""Extinction ratios and the errors of optics are those that were simulated."""
+"""Extinction ratios are those that were simulated."""
 import itertools
 import math
 
 import numpy as np
 import pytest
 
-from lab.paper import lens_effects, optics_bench
+from lab.paper import optics_bench
 from lab.paper.optics_bench import ShiftedOptics, expected_ratio
 from lab.paper.run import Settings
 from pdavis_cv.simulation import Optics
@@ -53,28 +53,3 @@ def test_the_bench_measures_what_was_simulated():
     page = "\n".join(optics_bench.bench_page(found))
     assert page.count("agrees") == 4
     assert "95 at 700 nm ([Gruev 2011]" in page
-
-
-def test_a_lens_does_what_its_equations_say_and_a_calibration_undoes_it():
-    """To .002 of DoLP, and .2 degrees: pixels of the mean differ by .7 / 16."""
-    found = {(one.what, one.where): one for one in lens_effects.effects(Settings())}
-    assert len(found) == 18
-    for key, one in found.items():
-        if not math.isnan(one.theory_dolp):
-            assert one.dolp == pytest.approx(one.theory_dolp, abs=0.002), key
-        if not math.isnan(one.theory_aop_deg):
-            assert one.aop_deg == pytest.approx(one.theory_aop_deg, abs=0.2), key
-        if key[0].startswith(("no lens", "incidence", "glass", "crosstalk")) or (
-                key == ("`f2.8`, all of these", "corner")):
-            assert one.calibrated_aop_deg < 0.05, key
-            assert abs(one.calibrated_dolp) < 0.0005, key
-    # What depends on S3, on the plate or on the dark, no analyser holds.
-    assert found["`f2.8`, circular light", "corner"].calibrated_aop_deg > 0.8
-    assert found["quarter-wave plate at 450 nm", "middle"].calibrated_dolp < -0.07
-    assert found["dark values 20 K warmer", "middle"].calibrated_dolp < -0.001
-
-
-def test_the_effects_page_has_a_row_for_each():
-    one = lens_effects.Effect("lens", "corner", 0.5, -0.02, 0.01, 0.0, math.nan, -0.021)
-    page = "\n".join(lens_effects.effects_page([one]))
-    assert "| lens | corner | 0.50 / -0.0200 | - / -0.0210 | 0.01 / +0.0000 |" in page

@@ -7,21 +7,13 @@ from .camera import (
     Camera as Camera,
 )
 from .dvs import DvsPixel as DvsPixel
-from .elements import (
-    Behind as Behind,
-    Waveplate as Waveplate,
-)
 from .examples import example_truth as example_truth
 from .faults import Faults as Faults
-from .lens import Lens as Lens
 from .named import (
     SCENES as SCENES,
     named_scene as named_scene,
 )
-from .optics import (
-    LENSES as LENSES,
-    Optics as Optics,
-)
+from .optics import Optics as Optics
 from .patterns import (
     Fan as Fan,
     FunctionScene as FunctionScene,
@@ -44,5 +36,4 @@ from .sweeps import (
     IrradianceSweep as IrradianceSweep,
     MalusSweep as MalusSweep,
 )
-from .temperature import Temperature as Temperature
 from .truth import Truth as Truth

@@ -126,7 +126,7 @@ class ApsPixel:
 
     def digitise(
         self, signal_dn: FloatArray, maps: dict[str, FloatArray], seed: int,
-        frame: int, origin: tuple[int, int], current: float = 1.0,
+        frame: int, origin: tuple[int, int],
     ) -> dict[str, NDArray[np.generic] | None]:
         """Convert an exposure integral to the converter's output.
 
@@ -142,8 +142,6 @@ class ApsPixel:
             Number of the frame since the recording's start.
         origin : (int, int)
             (row, column) of the first pixel on the sensor.
-        current : float
-            Factor on the dark current, by the temperature.
 
         Returns
         -------
@@ -160,12 +158,11 @@ class ApsPixel:
         dark = self.dark_dn_s * self.exposure_us / 1e6
         collected = signal_dn
         if self.electrons_per_dn is not None:
-            electrons = (signal_dn + dark * current) * self.electrons_per_dn
+            electrons = (signal_dn + dark) * self.electrons_per_dn
             shot = np.sqrt(np.maximum(electrons, 0)) / self.electrons_per_dn
             collected = signal_dn + shot * noise.normal(
                 seed, "photon shot noise", index, frame)
-        collected = np.minimum(
-            collected + (maps["dark_dn"] + dark * (current - 1)), self.full_well_dn)
+        collected = np.minimum(collected + maps["dark_dn"], self.full_well_dn)
         full_well_dn = self.full_well_dn - self.black_level_dn
         if self.black_level_dn:
             collected = np.maximum(collected - self.black_level_dn, 0)

@@ -25,12 +25,11 @@ from pdavis_cv.simulation.checks import (
 )
 from pdavis_cv.simulation.dvs import DvsPixel
 from pdavis_cv.simulation.faults import Faults
-from pdavis_cv.simulation.optics import LENSES, Optics
+from pdavis_cv.simulation.optics import Optics
 from pdavis_cv.simulation.populations import drawn
 from pdavis_cv.simulation.scenes import Scene
 from pdavis_cv.simulation.specimen import Specimen
 from pdavis_cv.simulation.stream import SimulatedRecording
-from pdavis_cv.simulation.temperature import Temperature
 from pdavis_cv.simulation.truth import Truth
 
 __all__ = ["DEFAULT_CAMERA", "PRESETS", "Camera"]
@@ -107,8 +106,6 @@ class Camera(Specimen):
         Read-out bus of the events; None for one without limits.
     faults : Faults, optional
         Faults of stamps and streams; None for none.
-    temperature : Temperature, optional
-        Temperature of the chip; None: that at which the parts' parameters hold.
     seed : int
         Names the specimen: its maps, and with ``run`` its noise.
     size : (int, int)
@@ -126,9 +123,7 @@ class Camera(Specimen):
     maps : mapping of str to ndarray of float64, shape (H, W)
         Parameters per pixel: ``angle`` (radians), ``extinction_ratio``, ``gain``,
         ``analyser`` (H, W, 3), ``theta_on``, ``theta_off`` (natural log), ``leak_hz``,
-        ``reset_dn``, ``dark_dn``; with a lens ``circular``, the response to S3.
-    neighbours : Neighbours or None
-        Crosstalk between neighbouring pixels; None without it.
+        ``reset_dn``, ``dark_dn``.
     """
 
     @classmethod
@@ -158,10 +153,8 @@ class Camera(Specimen):
             period, leak that grows with light, and events 4 to 7.4 ms behind frames.
         **changes
             Parameters of `Camera` (``seed``, ``size``, ``origin``, ...), and whole
-            parts (``optics``, ``dvs``, ``aps``, ``bus``, ``faults``,
-            ``temperature``) or mappings of single parameters of a part:
-            ``dvs={"leak_hz": 0}``.  ``optics="f2.8"`` puts one of `LENSES` before
-            the polarizers.
+            parts (``optics``, ``dvs``, ``aps``, ``bus``, ``faults``) or mappings of
+            single parameters of a part: ``dvs={"leak_hz": 0}``.
 
         Raises
         ------
@@ -171,13 +164,8 @@ class Camera(Specimen):
         require("name", name, name in PRESETS, f"be one of {', '.join(PRESETS)}")
         parts = drawn(name, PRESETS[name], changes.get("seed", 0))
         parts.setdefault("faults", Faults())
-        parts.setdefault("temperature", Temperature())
         for part, given in changes.items():
-            if part == "optics" and isinstance(given, str):
-                require("optics", given, given in LENSES,
-                        f"be one of {', '.join(LENSES)}")
-                parts[part] = dataclasses.replace(parts[part], **LENSES[given])
-            elif part in parts and isinstance(given, dict):
+            if part in parts and isinstance(given, dict):
                 parts[part] = dataclasses.replace(parts[part], **given)
             else:
                 parts[part] = given

@@ -30,8 +30,6 @@ __all__ = ["DvsPixel", "PixelArray"]
 _POLE_PHASE = 0.2
 _LAG_TERMS = 12     # of the series in `lag_weights`: the last is below 1e-16 there
 
-_DARK = 11          # index of the dark current in the kernel's settings
-
 FloatArray = NDArray[np.float64]
 
 _LEAST_HZ = 1e-12       # a period is at most the range of times, 2**61 us
@@ -201,7 +199,7 @@ class PixelArray:
         self._pixels[:, 0] = maps["theta_on"].ravel()
         self._pixels[:, 1] = maps["theta_off"].ravel()
         self._pixels[:, 2] = (maps["leak_hz"] * maps["theta_on"]).ravel() / 1e6
-        self._nominal = self._pixels.copy()
+        self._nominal = self._pixels[:, :2].copy()
         index = noise.pixel_index(self.size, origin).ravel()
         self._keys = noise.keys(seed, "events", index)
         y, x = np.divmod(np.arange(n), self.size[1])
@@ -219,20 +217,14 @@ class PixelArray:
             pixel.burst_us, pixel.shot_noise_hz / 1e6, pixel.dark_dn_ms,
             pixel.leak_hz_per_dn_ms / 1e6])
 
-    def set_conditions(self, on: float, off: float, current: float = 1.0) -> None:
-        """Scale the nominal thresholds, and leak and dark current, by these factors."""
-        self._pixels[:] = self._nominal * (on, off, current)
-        self._settings[_DARK] = self.pixel.dark_dn_ms * current
-
-    @property
-    def dark_dn_ms(self) -> float:
-        """Dark current at this temperature as an equivalent light, DN per ms."""
-        return float(self._settings[_DARK])
+    def scale_thresholds(self, on: float, off: float) -> None:
+        """Multiply the nominal thresholds by these factors."""
+        self._pixels[:, :2] = self._nominal * (on, off)
 
     def settle(self, light: FloatArray, rows: slice = slice(None)) -> None:
         """Put pixels into steady state under light, shape (rows, W), DN per ms."""
         part = self._part(rows)
-        total = np.maximum(light.ravel() + self.dark_dn_ms, 1e-9)
+        total = np.maximum(light.ravel() + self.pixel.dark_dn_ms, 1e-9)
         self._state[part, 4] = total
         for column in (0, 1, 5):
             self._state[part, column] = np.log(total)
@@ -302,7 +294,7 @@ class PixelArray:
         """
         if analyser is not None:
             light, slope = light @ analyser.T, slope @ analyser.T
-        dark = self.dark_dn_ms
+        dark = self.pixel.dark_dn_ms
         total = np.maximum(light + dark, 1e-9)
         log = np.log(total)
         rise = np.diff(log, axis=0)

@@ -23,7 +23,6 @@ from pdavis_cv.simulation.checks import (
     instance,
     positive,
     python_numbers,
-    require,
     turning,
     within,
 )
@@ -56,13 +55,10 @@ class Scene(ABC):
     linear : bool
         Whether light is linear between samples (recorded scenes); else it is smooth
         and a cubic between samples ``step_us`` apart is exact.
-    circular : bool
-        Whether S3 can differ from 0; a lens with retardance converts it to linear.
     """
 
     uniform: bool = False
     linear: bool = False
-    circular: bool = False
 
     @abstractmethod
     def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
@@ -77,20 +73,6 @@ class Scene(ABC):
         -------
         tuple of ndarray of float64
         """
-
-    def s3(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
-        """S3 in DN per ms, with Collett's sign; 0 unless the scene overrides it.
-
-        Parameters
-        ----------
-        t_us, x, y : array_like
-            As for `stokes`.
-
-        Returns
-        -------
-        ndarray of float64
-        """
-        return np.zeros(np.broadcast_shapes(np.shape(t_us), np.shape(x), np.shape(y)))
 
     @property
     @abstractmethod
@@ -190,11 +172,6 @@ class Sum(Scene):
         """Smaller sampling interval of the two, us."""
         return min(self.first.step_us, self.second.step_us)
 
-    @property
-    def circular(self) -> bool:  # type: ignore[override]
-        """Whether S3 of either can differ from 0."""
-        return self.first.circular or self.second.circular
-
     def times_us(self, start_us: float, stop_us: float) -> FloatArray:
         """Nodes of both; of a smooth one its samples."""
         return np.union1d(*(kinks(scene, start_us, stop_us)
@@ -204,10 +181,6 @@ class Sum(Scene):
         """S0, S1, S2 in DN per ms."""
         a, b = self.first.stokes(t_us, x, y), self.second.stokes(t_us, x, y)
         return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-    def s3(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
-        """S3 in DN per ms."""
-        return self.first.s3(t_us, x, y) + self.second.s3(t_us, x, y)
 
     def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
         """Return the mask of the first scene."""
@@ -249,11 +222,6 @@ class Flicker(Scene):
         """Whether the scene's light is linear between samples."""
         return self.scene.linear
 
-    @property
-    def circular(self) -> bool:  # type: ignore[override]
-        """Whether S3 of the scene can differ from 0."""
-        return self.scene.circular
-
     def times_us(self, start_us: float, stop_us: float) -> FloatArray:
         """Nodes of the scene, and samples of the lamp."""
         step = step_of(2e-6 * math.pi * self.hz)
@@ -267,17 +235,10 @@ class Flicker(Scene):
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
         """S0, S1, S2 in DN per ms."""
-        lamp = self._lamp(t_us)
+        lamp = 1 + self.depth * np.cos(
+            2e-6 * np.pi * self.hz * np.asarray(t_us, np.float64))
         s0, s1, s2 = self.scene.stokes(t_us, x, y)
         return s0 * lamp, s1 * lamp, s2 * lamp
-
-    def s3(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
-        """S3 in DN per ms."""
-        return self.scene.s3(t_us, x, y) * self._lamp(t_us)
-
-    def _lamp(self, t_us: ArrayLike) -> FloatArray:
-        return np.asarray(1 + self.depth * np.cos(
-            2e-6 * np.pi * self.hz * np.asarray(t_us, np.float64)))
 
     def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
         """Return the mask of the scene."""
@@ -294,14 +255,11 @@ class FlatLight(Scene):
         DN per ms, at most 1e9.
     dolp, aop : float
         Degree and angle (radians, within 1e6 of 0) of linear polarization.
-    docp : float
-        Degree of circular polarization, -1..1: S3 / S0.
     """
 
     s0: float = FULL
     dolp: float = 0.0
     aop: float = 0.0
-    docp: float = 0.0
     uniform = True
 
     def __post_init__(self) -> None:
@@ -309,18 +267,6 @@ class FlatLight(Scene):
         within(0, MOST_LIGHT, s0=self.s0)
         fraction(dolp=self.dolp)
         within(-MOST_ANGLE, MOST_ANGLE, aop=self.aop)
-        within(-1, 1, docp=self.docp)
-        require("docp", self.docp, math.hypot(self.dolp, self.docp) <= 1 + 1e-12,
-                "leave the light polarized by at most 1 together with dolp")
-
-    @property
-    def circular(self) -> bool:  # type: ignore[override]
-        """Whether ``docp`` is not 0."""
-        return self.docp != 0
-
-    def s3(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> FloatArray:
-        """S3 in DN per ms."""
-        return np.full(same_everywhere(t_us, x, y).shape, self.s0 * self.docp)
 
     @property
     def step_us(self) -> float:
@@ -405,7 +351,6 @@ class PolarizerBeforePlate(Scene):
     axis: float = 0.0
     retardance: float = math.pi / 2
     uniform = True
-    circular = True
 
     def __post_init__(self) -> None:
         python_numbers(self)
@@ -418,12 +363,6 @@ class PolarizerBeforePlate(Scene):
         t = same_everywhere(t_us, x, y)
         polarizer = self.start_angle + rad_per_us(self.rpm) * t
         return behind_plate(self.s0, polarizer, self.axis, self.retardance)
-
-    def s3(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> FloatArray:
-        """S3 in DN per ms."""
-        t = same_everywhere(t_us, x, y)
-        polarizer = self.start_angle + rad_per_us(self.rpm) * t
-        return circular_part(self.s0, polarizer, self.axis, self.retardance)
 
     @property
     def step_us(self) -> float:
@@ -457,7 +396,6 @@ class RotatingPlate(Scene):
     polarizer: float = 0.0
     retardance: float = math.pi / 2
     uniform = True
-    circular = True
 
     def __post_init__(self) -> None:
         python_numbers(self)
@@ -471,12 +409,6 @@ class RotatingPlate(Scene):
         axis = self.start_angle + rad_per_us(self.rpm) * t
         return behind_plate(self.s0, self.polarizer, axis, self.retardance)
 
-    def s3(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> FloatArray:
-        """S3 in DN per ms."""
-        t = same_everywhere(t_us, x, y)
-        axis = self.start_angle + rad_per_us(self.rpm) * t
-        return circular_part(self.s0, self.polarizer, axis, self.retardance)
-
     @property
     def step_us(self) -> float:
         """Interval at which sampling the light loses nothing."""
@@ -489,7 +421,7 @@ def behind_plate(
     """S0, S1, S2 of light behind a polarizer and a retarder.
 
     The Stokes component along the retarder's axis passes; that at 45 degrees to it is
-    multiplied by cos(retardance), the rest becomes S3.
+    multiplied by cos(retardance), the rest becomes circular.
     """
     axis = np.asarray(axis, np.float64)
     turn = 2 * (np.asarray(polarizer, np.float64) - axis)
@@ -497,11 +429,3 @@ def behind_plate(
     cos, sin = np.cos(2 * axis), np.sin(2 * axis)
     s1, s2 = along * cos - across * sin, along * sin + across * cos
     return np.full(s1.shape, float(s0)), s0 * s1, s0 * s2
-
-
-def circular_part(
-    s0: float, polarizer: ArrayLike, axis: ArrayLike, retardance: float
-) -> FloatArray:
-    """S3 of light behind a polarizer and a retarder; see `behind_plate`."""
-    turn = 2 * (np.asarray(polarizer, np.float64) - np.asarray(axis, np.float64))
-    return np.asarray(-s0 * math.sin(retardance) * np.sin(turn))

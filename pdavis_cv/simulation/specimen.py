@@ -13,7 +13,6 @@ from pdavis_cv.simulation.dvs import DvsPixel
 from pdavis_cv.simulation.faults import Faults
 from pdavis_cv.simulation.optics import Optics
 from pdavis_cv.simulation.scenes import FloatArray
-from pdavis_cv.simulation.temperature import Temperature
 
 __all__ = ["Specimen"]
 
@@ -24,8 +23,7 @@ class Specimen:
     def __init__(
         self, *, optics: Optics | None = None, dvs: DvsPixel | None = None,
         aps: ApsPixel | None = None, bus: Bus | None = None,
-        faults: Faults | None = None, temperature: Temperature | None = None,
-        seed: int = 0,
+        faults: Faults | None = None, seed: int = 0,
         size: tuple[int, int] = (12, 12), origin: tuple[int, int] | None = None,
         sensor: Sensor = Sensor.PDAVIS, name: str = "simulated",
     ) -> None:
@@ -50,7 +48,6 @@ class Specimen:
         instance(ApsPixel, **present(aps=aps))
         instance(Bus, **present(bus=bus))
         instance(Faults, **present(faults=faults))
-        instance(Temperature, **present(temperature=temperature))
         require("dvs and aps", None, dvs is not None or aps is not None,
                 "not both be None")
         self.faults = Faults() if faults is None else faults
@@ -58,7 +55,6 @@ class Specimen:
             require("frame_offset_us", self.faults.frame_offset_us,
                     self.faults.frame_offset_us <= aps.readout_us,
                     f"be at most the read-out time, {aps.readout_us} us")
-        self.temperature = Temperature() if temperature is None else temperature
         self.optics = Optics() if optics is None else optics
         self.dvs, self.aps, self.bus, self.seed = dvs, aps, bus, seed
         self.size, self.origin, self.sensor, self.name = size, origin, sensor, name
@@ -68,8 +64,6 @@ class Specimen:
             self.maps |= dvs.maps(seed, size, origin)
         if aps is not None:
             self.maps |= aps.maps(seed, size, origin)
-        self.neighbours = None if self.optics.crosstalk is None else (
-            self.optics.neighbours(seed, size, origin, sensor.size))
         for array in self.maps.values():
             array.flags.writeable = False
 

@@ -26,10 +26,8 @@ from pdavis_cv.simulation.bus import BusState
 from pdavis_cv.simulation.checks import affordable
 from pdavis_cv.simulation.dvs import PixelArray, in_time_order
 from pdavis_cv.simulation.faults import EventFaults
-from pdavis_cv.simulation.patterns import VideoScene
 from pdavis_cv.simulation.scenes import FloatArray, Scene, Stokes
 from pdavis_cv.simulation.specimen import Specimen
-from pdavis_cv.simulation.temperature import Conditions
 from pdavis_cv.simulation.truth import Truth
 
 __all__ = ["Piece", "SimulatedRecording"]
@@ -92,9 +90,6 @@ class SimulatedRecording(Recording):
         affordable("10 ms of the light's course",
                    8 * _WEIGHTS * intervals * camera.size[1], step_us=step)
         self._intervals = math.ceil(intervals - 1e-9)
-        # Uniform light is solved once for all pixels, unless pixels respond to S3.
-        self._circular = scene.circular and "circular" in camera.maps
-        self._uniform = scene.uniform and not self._circular
         self._info = camera.info(stop_us)
         self._bus: list[tuple[int, float, int]] = []
 
@@ -155,7 +150,7 @@ class SimulatedRecording(Recording):
         if camera.dvs is not None:
             pixels = PixelArray(camera.dvs, camera.maps, camera.noise_seed(self.run),
                                 camera.origin)
-        faults, wrong, conditions = camera.faults, None, (1.0, 1.0, 1.0)
+        faults, wrong, factors = camera.faults, None, (1.0, 1.0)
         if faults.lost or faults.jitter_us:
             wrong = EventFaults(faults, camera.noise_seed(self.run))
         sums: dict[int, FloatArray] = {}
@@ -163,10 +158,10 @@ class SimulatedRecording(Recording):
         with ThreadPoolExecutor(self.threads) as pool:
             for start in range(0, self.stop_us, PIECE_US):
                 stop = start + PIECE_US
-                if pixels is not None and conditions != (
-                        now := self._conditions(start)):
-                    conditions = now
-                    pixels.set_conditions(*now)
+                if pixels is not None and factors != (
+                        now := faults.threshold_factors(start / self.stop_us)):
+                    factors = now
+                    pixels.scale_thresholds(*now)
                 parts = self._simulate(start, pixels, clock, sums, pool)
                 events = in_time_order(parts, start, stop)
                 piece = Piece(stop, events)
@@ -187,13 +182,6 @@ class SimulatedRecording(Recording):
                 yield piece
         self._bus = log
 
-    def _conditions(self, t_us: float) -> Conditions:
-        """Return the factors on thresholds and thermal currents at a time."""
-        camera = self.camera
-        on, off = camera.faults.threshold_factors(t_us / self.stop_us)
-        warm_on, warm_off, current = camera.temperature.conditions(t_us)
-        return on * warm_on, off * warm_off, current
-
     def _simulate(
         self, start: int, pixels: PixelArray | None, clock: FrameClock | None,
         sums: dict[int, FloatArray], pool: ThreadPoolExecutor,
@@ -201,7 +189,7 @@ class SimulatedRecording(Recording):
         """Return the events of 10 ms, and add its light to the exposures ``sums``."""
         height, width = self.camera.size
         rows = [slice(r, min(r + _ROWS, height)) for r in range(0, height, _ROWS)]
-        if self.threads == 1 and (self._uniform or self.scene.linear):
+        if self.threads == 1 and (self.scene.uniform or self.scene.linear):
             rows = [slice(0, height)]
         blocks = self._blocks(start)
         weights = {} if clock is None else {
@@ -248,7 +236,7 @@ class SimulatedRecording(Recording):
             return [(a, (b - a) / n, n)
                     for (a, b), n in zip(itertools.pairwise(times), cuts, strict=True)]
         step = PIECE_US / self._intervals
-        size = self._intervals if self._uniform else _INTERVALS
+        size = self._intervals if self.scene.uniform else _INTERVALS
         return [(start + first * step, step, min(size, self._intervals - first))
                 for first in range(0, self._intervals, size)]
 
@@ -267,39 +255,18 @@ class SimulatedRecording(Recording):
         analyser = camera.maps["analyser"][rows]
         row, column = camera.origin
         seen: FloatArray | None = None
-        if self._uniform:
+        if self.scene.uniform:
             light = np.stack(self.scene.stokes(t, column, row), axis=-1)
             seen = np.ascontiguousarray(analyser.reshape(-1, 3))
-        elif camera.neighbours is not None:
-            places = self._places(rows, 1)
-            light = camera.neighbours.light(
-                (*self.scene.stokes(t[:, None, None], *places),
-                 self.scene.s3(t[:, None, None], *places)), rows
-            ).reshape(len(t), -1)
         else:
-            places = self._places(rows, 0)
+            y = np.arange(rows.start, rows.stop)[:, None] + row
+            x = np.arange(camera.size[1])[None, :] + column
             light = _analysed(
-                analyser, self.scene.stokes(t[:, None, None], *places), len(t))
-            if self._circular:
-                light += (camera.maps["circular"][rows] * self.scene.s3(
-                    t[:, None, None], *places)).reshape(len(t), -1)
+                analyser, self.scene.stokes(t[:, None, None], x, y), len(t))
         light = np.ascontiguousarray(light)
         slope = np.empty((0, light.shape[1])) if self.scene.linear else (
             node_slopes(light))
         return light, slope, seen
-
-    def _places(self, rows: slice, around: int) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Columns and rows on the sensor of these rows, and of pixels around them."""
-        row, column = self.camera.origin
-        y = np.arange(rows.start - around, rows.stop + around)[:, None] + row
-        x = np.arange(-around, self.camera.size[1] + around)[None, :] + column
-        if around:  # a place off the sensor has response 0, one off the video no light
-            first, size = (0, 0), self.camera.sensor.size
-            if isinstance(self.scene, VideoScene):
-                first, size = self.scene.origin, self.scene.quad.shape[2:]
-            y = np.clip(y, first[0], first[0] + size[0] - 1)
-            x = np.clip(x, first[1], first[1] + size[1] - 1)
-        return x, y
 
     def _finish(
         self, clock: FrameClock, sums: dict[int, FloatArray], stop: int
@@ -311,7 +278,7 @@ class SimulatedRecording(Recording):
                 break
             digitised = clock.pixel.digitise(
                 sums.pop(number), camera.maps, camera.noise_seed(self.run), number,
-                camera.origin, camera.temperature.current(clock.start_us(number)))
+                camera.origin)
             frames.append(make_frame(
                 clock, number, digitised, camera.faults.frame_offset_us))
         return frames

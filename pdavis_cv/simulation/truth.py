@@ -56,14 +56,6 @@ class Truth:
         row, column = self.origin
         return self.scene.stokes(t_us, np.add(x, column), np.add(y, row))
 
-    def s3(self, t_us: ArrayLike, x: Any = None, y: Any = None) -> FloatArray:
-        """S3 in DN per ms."""
-        height, width = self.size
-        x = (width - 1) / 2 if x is None else x
-        y = (height - 1) / 2 if y is None else y
-        row, column = self.origin
-        return self.scene.s3(t_us, np.add(x, column), np.add(y, row))
-
     def s0(self, t_us: ArrayLike, x: Any = None, y: Any = None) -> FloatArray:
         """S0 in DN per ms."""
         return self.stokes(t_us, x, y)[0]
