@@ -189,12 +189,15 @@ def content(out):
 
 
 def test_dask_gives_the_same_files(many, tmp_path):
-    pytest.importorskip("distributed")
-    for name in (None, "dask"):
-        table = run(many[:6], tmp_path / str(name), work="export", executor=name,
-                    workers=2)
-        assert not table.failed
-    assert content(tmp_path / "None") == content(tmp_path / "dask")
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1,
+                                  dashboard_address="127.0.0.1:0") as cluster:
+        for name, where in (("process", None),
+                            ("dask", f"dask:{cluster.scheduler_address}")):
+            table = run(many[:6], tmp_path / name, work="export", executor=where,
+                        workers=2)
+            assert not table.failed
+    assert content(tmp_path / "process") == content(tmp_path / "dask")
     assert len(content(tmp_path / "dask")) == 12
 
 

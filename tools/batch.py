@@ -46,8 +46,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             args.files, options, args.out, work=work, executor=args.executor,
             workers=args.jobs, retries=args.retries, timeout_s=args.timeout,
             progress=asked_for() or None, stated=_stated(args))
-        if args.parquet:
-            table.write_parquet()
     failed = table.failed
     lines = [f"{row['recording']}: {row['error']}" for row in failed[:20]]
     if len(failed) > 20:
@@ -96,9 +94,8 @@ def _parser() -> argparse.ArgumentParser:
         "--retries", type=within(0, 100), default=1, metavar="N",
         help="number of further attempts at a job that failed; default 1")
     parser.add_argument(
-        "--timeout", type=positive, metavar="S", help="time limit of each job, seconds")
-    parser.add_argument(
-        "--parquet", action="store_true", help="also write summary.parquet")
+        "--timeout", type=positive, metavar="S",
+        help="time limit of each job, seconds; of executor process only")
     parser.add_argument(
         "--dry-run", action="store_true", help="only print what would be done")
     add_json_option(parser)

@@ -73,8 +73,7 @@ def run(
         your own, which writes files into `folder` and returns figures for the table,
         or None.
     executor : str, Executor or callable, optional
-        ``"process"`` (default), ``"dask"`` (a cluster on this machine),
-        ``"dask:tcp://HOST:PORT"`` or ``"MODULE:FUNCTION"``; a
+        ``"process"`` (default), ``"dask:tcp://HOST:PORT"`` or ``"MODULE:FUNCTION"``; a
         `concurrent.futures.Executor`; or a function that makes one, which is called
         again if it breaks.
     workers : int, optional
@@ -83,7 +82,7 @@ def run(
         Number of further attempts at a job that failed.  Errors that would come again,
         such as a damaged header, are not retried.
     timeout_s : float, optional
-        Time limit of each job, seconds.
+        Time limit of each job, seconds; in processes only, not in threads.
     progress : bool, optional
         Show progress on standard error; default: only on a terminal.
     stated : SourceOptions, optional

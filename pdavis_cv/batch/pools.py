@@ -11,7 +11,7 @@ from pdavis_cv._workers import usable_cores
 
 __all__ = ["EXECUTORS", "Pool", "pool_factory"]
 
-EXECUTORS = "process, dask, dask:tcp://HOST:PORT or MODULE:FUNCTION"
+EXECUTORS = "process, dask:tcp://HOST:PORT or MODULE:FUNCTION"
 """The texts that `pool_factory` accepts, for error messages."""
 _UNKNOWN = 32
 """Number of workers assumed for an executor that does not tell it."""
@@ -57,13 +57,11 @@ def pool_factory(
         return lambda: given.pop() if given else _process_pool(count)
     if callable(executor):
         return lambda: _executor_pool(executor(), workers)
-    if executor == "dask":
-        return lambda: _dask_pool(None, count)
     kind, _, rest = executor.partition(":")
-    if kind == "dask":
-        return lambda: _dask_pool(rest, workers)
     if not rest:
         raise ValueError(f"executor must be {EXECUTORS}, got {executor!r}")
+    if kind == "dask":
+        return lambda: _dask_pool(rest, workers)
     try:
         function = getattr(importlib.import_module(kind), rest)
     except (ImportError, AttributeError) as error:
@@ -91,20 +89,15 @@ def _executor_pool(executor: Executor, workers: int | None) -> Pool:
     return Pool(executor, workers or _workers_of(executor), close)
 
 
-def _dask_pool(address: str | None, workers: int | None) -> Pool:
-    """Return a pool on the cluster at an address, or on a new one on this machine."""
+def _dask_pool(address: str, workers: int | None) -> Pool:
+    """Return a pool on the cluster at an address."""
     try:
         distributed: Any = importlib.import_module("distributed")
     except ImportError as error:
         raise ImportError(
             "executor dask needs the extra [batch]: pip install 'dask[distributed]'"
         ) from error
-    # Port 0 is any free one.  Without an address Dask tries 8787, and warns if another
-    # program has it; without a host the page would be open to the network.
-    cluster = distributed.LocalCluster(
-        n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0"
-    ) if address is None else None
-    client = distributed.Client(address if cluster is None else cluster)
+    client = distributed.Client(address)
     # With pure=True, Dask would return cached rows instead of repeating a job.
     executor = client.get_executor(pure=False)
     count = workers or sum(client.ncores().values()) or _UNKNOWN
@@ -112,7 +105,5 @@ def _dask_pool(address: str | None, workers: int | None) -> Pool:
     def close(at_once: bool) -> None:
         executor.shutdown(wait=not at_once)
         client.close()
-        if cluster is not None:
-            cluster.close()
 
     return Pool(executor, count, close)

@@ -1,4 +1,4 @@
-"""The table of all jobs, as a sequence of rows, CSV, Parquet or a web page."""
+"""The table of all jobs, as a sequence of rows, CSV or a web page."""
 from __future__ import annotations
 
 import html
@@ -9,11 +9,9 @@ from string import Template
 from typing import Any
 
 import pdavis_cv
-from pdavis_cv._beside import write_beside
 from pdavis_cv.batch.results import DONE, Results
 from pdavis_cv.batch.worker import Row
 from pdavis_cv.export.tables import write_csv
-from pdavis_cv.recording.parquet import pyarrow
 
 __all__ = ["Table"]
 
@@ -110,28 +108,6 @@ class Table(Sequence[Row]):
         columns = self.columns
         write_csv(path, columns, (self.cells(row, columns) for row in self))
 
-    def write_parquet(self, path: Any = None) -> None:
-        """Write all rows as Parquet; columns of numbers have a number type.
-
-        Parameters
-        ----------
-        path : path, optional
-            Default ``summary.parquet`` beside the results.
-
-        Raises
-        ------
-        ImportError
-            If pyarrow (extra ``[parquet]``) is not installed.
-        """
-        arrow, parquet = pyarrow()
-        columns = self.columns
-        values = list(zip(*(self.cells(row, columns) for row in self), strict=True))
-        made = {name: _uniform(column) for name, column in zip(
-            columns, values or [()] * len(columns), strict=True)}
-        with self._results.written("summary.parquet") if path is None else (
-                write_beside(path)) as part:
-            parquet.write_table(arrow.table(made), part)
-
     def write_page(self, path: Any) -> None:
         """Write all rows as a web page with sortable columns and pictures.
 
@@ -159,13 +135,6 @@ def _cell(value: Any) -> Any:
         return "; ".join(map(str, value)) if isinstance(value, list) and all(
             isinstance(part, str) for part in value) else json.dumps(value)
     return value
-
-
-def _uniform(column: Sequence[Any]) -> list[Any]:
-    kinds = {type(value) for value in column if value is not None}
-    if kinds <= {int, float} or len(kinds) == 1:
-        return list(column)
-    return [None if value is None else str(value) for value in column]
 
 
 def _html_row(row: Row, cells: Sequence[Any]) -> str:

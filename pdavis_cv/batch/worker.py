@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import json
 import platform
 import signal
@@ -40,10 +39,6 @@ class _OutOfTimeError(BaseException):
 
     It is not an Exception, as a work may catch those.
     """
-
-
-class _SilencedError(BaseException):
-    """Takes the place of an `_OutOfTimeError` that came when the work had ended."""
 
 
 def perform(
@@ -189,68 +184,26 @@ def _collected_warnings() -> Iterator[list[str]]:
 def _deadline(seconds: float | None) -> Iterator[None]:
     """Raise `_OutOfTimeError` in the block after the given time.
 
-    In a main thread a signal does so, which also interrupts waits.  In other threads,
-    such as those of a Dask worker, it takes effect at the next Python bytecode.
+    A signal does so, which also interrupts waits; only a main thread gets one.
     """
     if seconds is None:
         yield
-    elif (hasattr(signal, "setitimer")
-            and threading.current_thread() is threading.main_thread()):
-        def ring(*_: Any) -> None:
-            raise _OutOfTimeError
+        return
+    if not hasattr(signal, "setitimer") or (
+            threading.current_thread() is not threading.main_thread()):
+        raise ValueError("timeout_s needs jobs in main threads, as the executor "
+                         "process has them, and signals, which Windows lacks")
 
-        before = signal.signal(signal.SIGALRM, ring)
-        signal.setitimer(signal.ITIMER_REAL, seconds)
-        try:
-            yield
-        finally:
-            signal.setitimer(signal.ITIMER_REAL, 0)
-            signal.signal(signal.SIGALRM, before)
-    else:
-        with _alarm_of_thread(seconds):
-            yield
+    def ring(*_: Any) -> None:
+        raise _OutOfTimeError
 
-
-_RING_AGAIN_S = 1.0
-
-
-@contextlib.contextmanager
-def _alarm_of_thread(seconds: float) -> Iterator[None]:
-    """Raise `_OutOfTimeError` in this thread repeatedly until the block ends.
-
-    Once is not enough: an exception that is raised in a finalizer is only printed.
-    """
-    thread = ctypes.c_ulong(threading.get_ident())
-    raise_in = ctypes.pythonapi.PyThreadState_SetAsyncExc
-    over, lock, rang = threading.Event(), threading.Lock(), threading.Event()
-
-    def ring() -> None:
-        wait = seconds
-        while not over.wait(wait):
-            with lock:
-                if not over.is_set():
-                    rang.set()
-                    raise_in(thread, ctypes.py_object(_OutOfTimeError))
-            wait = _RING_AGAIN_S
-
-    def silence() -> None:
-        with lock:
-            over.set()
-        # One that is pending is replaced and caught.  It is not cancelled with None:
-        # CPython 3.11 would then go on looking for it, and hang under a debugger.
-        with contextlib.suppress(_SilencedError):
-            while rang.is_set():
-                raise_in(thread, ctypes.py_object(_SilencedError))
-
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
-        threading.Thread(target=ring, daemon=True).start()  # may ring before it returns
         yield
     finally:
-        try:
-            silence()
-        except _OutOfTimeError:  # raised before it was replaced
-            silence()
-            raise
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
