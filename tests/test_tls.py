@@ -45,7 +45,7 @@ def context(certificates):
 def test_what_is_sent_encrypted_arrives_to_the_bit(
         recording, certificates, context, compression):
     server = DvServer(recording.info, 0, 0, compression=compression, context=context)
-    places = server.places
+    places = server.ports
     with sending(recording, server):
         source = open_source(
             f"dv+tls://127.0.0.1:{places['events']}?frames={places['frames']}&"
@@ -72,7 +72,7 @@ def test_who_does_not_trust_the_other_is_told_in_a_line(
         for name, value in values)
     with DvServer(recording.info, 0, context=context) as server:
         with pytest.raises(DeviceError, match=message) as found:
-            open_source(f"dv+tls://127.0.0.1:{server.places['events']}?{query}")
+            open_source(f"dv+tls://127.0.0.1:{server.ports['events']}?{query}")
         assert "\n" not in str(found.value)
         assert not server.wait_for_clients(0.05)
 
@@ -83,7 +83,7 @@ def test_a_certificate_must_name_the_host_unless_told_otherwise(
         certificates.pem("elsewhere"), certificates.key("elsewhere"),
         certificates.pem("authority"))
     with DvServer(recording.info, 0, context=context) as server:
-        where = (f"dv+tls://127.0.0.1:{server.places['events']}?"
+        where = (f"dv+tls://127.0.0.1:{server.ports['events']}?"
                  + certificates.query("client"))
         with pytest.raises(DeviceError, match="IP address mismatch"):
             open_source(where)
@@ -95,7 +95,7 @@ def test_who_says_nothing_or_shows_nothing_keeps_nobody_waiting(
         recording, certificates, context, monkeypatch):
     monkeypatch.setattr("pdavis_cv.live.dv_server.GREET_S", 1.0)
     with DvServer(recording.info, 0, context=context) as server:
-        place = "127.0.0.1", server.places["events"]
+        place = "127.0.0.1", server.ports["events"]
         silent = [socket.create_connection(place) for _ in range(MOST_CLIENTS - 1)]
         with pytest.raises(DeviceError, match=r"no dv stream|closed|broke|reset"):
             open_source(f"dv+tcp://127.0.0.1:{place[1]}")
@@ -224,7 +224,7 @@ def test_dv_processing_reads_what_we_encrypt(
     for _ in range(3):
         server = DvServer(recording.info, 0, context=context)
         with sending(recording, server), theirs(
-                READER, server.places["events"], len(sent), tmp_path / "got.npy",
+                READER, server.ports["events"], len(sent), tmp_path / "got.npy",
                 certificates.pem("client"), certificates.key("client")) as process:
             if process.wait(PATIENCE_S) == 0:
                 break

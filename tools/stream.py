@@ -33,23 +33,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     from pdavis_cv.live import LOOPBACK, DvServer
 
     context = tls_of(args)
-    if context is not None and (args.authority is None or args.unix is not None):
-        raise UsageError("--certificate is of ports, and needs --authority: clients "
-                         "show a certificate too")
+    if context is not None and args.authority is None:
+        raise UsageError("--certificate needs --authority: clients show a certificate "
+                         "too")
     if args.host not in LOOPBACK and context is None:
         raise UsageError("--host beyond this machine needs --certificate, --key and "
                          "--authority")
     with source_of(args) as source, ended_by_signals():
-        frames: int | str | None = args.frames_port
-        if source.info.frame_count == 0 or args.no_frames:
-            frames = None
-        with DvServer(source.info, args.unix or args.port,
-                      f"{args.unix}.frames" if args.unix and frames is not None
-                      else frames, compression=args.compression,
-                      host=args.host, context=context) as server:
-            places = server.places
-            tell_now(args, [f"{name}: {place}" for name, place in places.items()],
-                     **places)
+        none = source.info.frame_count == 0 or args.no_frames
+        with DvServer(source.info, args.port, None if none else args.frames_port,
+                      compression=args.compression, host=args.host, context=context
+                      ) as server:
+            tell_now(args, [f"{name}: {port}" for name, port in server.ports.items()],
+                     **server.ports)
             stage("waiting for a client of each")
             while not server.wait_for_clients(1):
                 pass
@@ -71,9 +67,6 @@ def _parser() -> argparse.ArgumentParser:
                         help="for events, default 7777; 0 = any that is free")
     parser.add_argument("--frames-port", type=int, default=7778,
                         help="for frames, default 7778")
-    parser.add_argument("--unix", metavar="PATH",
-                        help="sockets PATH and PATH.frames in place of ports; only "
-                             "this user may open them")
     parser.add_argument("--no-frames", action="store_true", help="send events only")
     parser.add_argument("--compression", choices=("none", "lz4", "zstd"),
                         default="none", help="default none")

@@ -6,7 +6,6 @@ packets of int32 stream, int32 size and payload.  Frames come on a second connec
 from __future__ import annotations
 
 import contextlib
-import functools
 import queue
 import socket
 import ssl
@@ -42,7 +41,7 @@ from pdavis_cv.recording.options import MAX_SIDE
 from pdavis_cv.recording.timeline import NEVER
 from pdavis_cv.sensor import Layout, Sensor
 
-__all__ = ["DvSource", "open_tcp", "open_tls", "open_unix"]
+__all__ = ["DvSource", "open_tcp", "open_tls"]
 
 CONNECT_S = 5.0
 MARGIN_US = 100_000
@@ -288,18 +287,7 @@ def _sorted(found: NDArray[Any]) -> Events:
 
 def open_tcp(address: Address, *, frames: int = 0) -> DvSource:
     """Open ``dv+tcp://HOST:PORT``; `frames` is a second port."""
-    places = _places(address.target, frames)
-    return _connected(address.text, [
-        functools.partial(socket.create_connection, place, CONNECT_S)
-        for place in places])
-
-
-def _places(target: str, frames: int) -> list[tuple[str, int]]:
-    host, _, port = target.removeprefix("//").rstrip("/").rpartition(":")
-    if not host or not port.isdigit():
-        raise ValueError("//HOST:PORT is needed after the first colon")
-    host = host.strip("[]")
-    return [(host, int(port)), *([(host, frames)] if frames else [])]
+    return _connected(address, frames, lambda link, host: link)
 
 
 def open_tls(
@@ -313,54 +301,31 @@ def open_tls(
             raise ValueError(f"{name}=FILE is needed: the sender and this side show "
                              "each other certificates")
     context = client_context(certificate, key, authority, check_name)
-
-    def connect(place: tuple[str, int]) -> socket.socket:
-        link = socket.create_connection(place, CONNECT_S)
-        try:
-            return context.wrap_socket(link, server_hostname=place[0])
-        except BaseException:
-            link.close()
-            raise
-
-    return _connected(address.text, [functools.partial(connect, place)
-                                     for place in _places(address.target, frames)])
-
-
-def open_unix(address: Address, *, frames: str = "") -> DvSource:
-    """Open ``dv+unix:///PATH``; `frames` is a second path."""
-    path = address.target.removeprefix("//")
-    if not path:
-        raise ValueError("dv+unix:///PATH is needed")
-
-    def connect(path: str) -> socket.socket:
-        link = socket.socket(socket.AF_UNIX)
-        link.settimeout(CONNECT_S)
-        try:
-            link.connect(path)
-        except OSError:
-            link.close()
-            raise
-        return link
-
-    return _connected(address.text, [
-        functools.partial(connect, one) for one in (path, frames) if one])
+    return _connected(address, frames, lambda link, host: context.wrap_socket(
+        link, server_hostname=host))
 
 
 def _connected(
-    where: str, connects: list[Callable[[], socket.socket]]
+    address: Address, frames: int,
+    greet: Callable[[socket.socket, str], socket.socket],
 ) -> DvSource:
+    host, _, port = address.target.removeprefix("//").rstrip("/").rpartition(":")
+    if not host or not port.isdigit():
+        raise ValueError("//HOST:PORT is needed after the first colon")
+    host = host.strip("[]")
     links: list[socket.socket] = []
     try:
-        for connect in connects:
-            links.append(connect())
-        return DvSource(where, links)
+        for number in (int(port), *([frames] if frames else [])):
+            links.append(socket.create_connection((host, number), CONNECT_S))
+            links[-1] = greet(links[-1], host)
+        return DvSource(address.text, links)
     except BaseException as error:
         for link in links:
             link.close()
         if isinstance(error, ssl.SSLError):
-            raise DeviceError(f"{where}: no trust: {_refusal(error)}") from error
+            raise DeviceError(f"{address.text}: no trust: {_refusal(error)}") from error
         if isinstance(error, OSError) and not isinstance(error, DeviceError):
-            raise DeviceError(f"{where}: cannot be reached: {error}") from error
+            raise DeviceError(f"{address.text}: cannot be reached: {error}") from error
         raise
 
 

@@ -1,9 +1,7 @@
 """Sender of DV's network protocol: events and frames for DV and dv-processing."""
 from __future__ import annotations
 
-import contextlib
 import logging
-import os
 import select
 import socket
 import ssl
@@ -95,9 +93,8 @@ class DvServer:
     ----------
     info : RecordingInfo
         Information on the stream to send.
-    events, frames : int, str or None
-        Port (0 = any that is free), or path of a socket that only this user may open;
-        None: not sent.
+    events, frames : int or None
+        Port, 0 = any that is free; None: not sent.
     compression : {"none", "lz4", "zstd"}
         Compression of packets.
     host : str
@@ -108,22 +105,22 @@ class DvServer:
 
     Attributes
     ----------
-    places : dict of str to (int or str)
-        Port or path of ``"events"`` and of ``"frames"``.
+    ports : dict of str to int
+        Of ``"events"`` and of ``"frames"``.
     dropped : int
         Packets that were dropped because a client was slow.
 
     Raises
     ------
     OSError
-        If a port or path is in use.
+        If a port is in use.
     ValueError
         If other machines could connect without a certificate.
     """
 
     def __init__(
-        self, info: RecordingInfo, events: int | str | None = 0,
-        frames: int | str | None = None, *, compression: str = "none",
+        self, info: RecordingInfo, events: int | None = 0,
+        frames: int | None = None, *, compression: str = "none",
         host: str = LOOPBACK[0], context: ssl.SSLContext | None = None,
     ) -> None:
         if host not in LOOPBACK and (
@@ -132,7 +129,7 @@ class DvServer:
                              "certificate, and so does the server")
         self._context = context
         self._greeting = threading.BoundedSemaphore(MOST_CLIENTS)
-        self.places: dict[str, int | str] = {}
+        self.ports: dict[str, int] = {}
         self._listeners: list[tuple[socket.socket, StreamEncoder]] = []
         self._clients: dict[StreamEncoder, list[_Client]] = {}
         self._lock = threading.Lock()
@@ -140,15 +137,15 @@ class DvServer:
         self._closed = threading.Event()
         self.dropped = 0
         try:
-            for name, stream, place in (
+            for name, stream, port in (
                     ("events", EVENTS, events), ("frames", FRAMES, frames)):
-                if place is not None:
-                    link = _listening(place, host)
+                if port is not None:
+                    link = socket.create_server((host, port), family=(
+                        socket.AF_INET6 if ":" in host else socket.AF_INET))
                     encoder = StreamEncoder(stream, info, compression)
                     self._listeners.append((link, encoder))
                     self._clients[encoder] = []
-                    self.places[name] = (
-                        place if isinstance(place, str) else link.getsockname()[1])
+                    self.ports[name] = link.getsockname()[1]
         except BaseException:
             self._hang_up()
             raise
@@ -162,7 +159,7 @@ class DvServer:
             ready, _, _ = select.select(list(links), [], [], 0.1)
             for listener in ready:
                 link, _ = listener.accept()
-                if self._context is None or link.family == socket.AF_UNIX:
+                if self._context is None:
                     self._take(link, links[listener])
                 elif self._greeting.acquire(blocking=False):
                     # A silent client must not keep others waiting.
@@ -239,30 +236,9 @@ class DvServer:
     def _hang_up(self) -> None:
         for link, _ in self._listeners:
             link.close()
-        for place in self.places.values():
-            if isinstance(place, str):
-                with contextlib.suppress(OSError):
-                    os.unlink(place)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exc: object) -> None:
         self.close()
-
-
-def _listening(place: int | str, host: str) -> socket.socket:
-    if isinstance(place, int):
-        return socket.create_server((host, place), family=(
-            socket.AF_INET6 if ":" in host else socket.AF_INET))
-    link = socket.socket(socket.AF_UNIX)
-    before = os.umask(0o177)        # accessible to this user only, from its creation
-    try:
-        link.bind(place)
-        link.listen()
-    except BaseException:
-        link.close()
-        raise
-    finally:
-        os.umask(before)
-    return link
