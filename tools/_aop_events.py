@@ -24,7 +24,7 @@ __all__ = ["SUFFIXES", "export_aop_events"]
 
 COLUMNS = ("t_us", "x", "y", "aop_deg")
 MOVING = (".webm", ".mp4", ".m4v", ".mkv", ".avi", *export.ANIMATIONS)
-SUFFIXES = (".csv", ".npy", ".aedat4", *MOVING)
+SUFFIXES = (".csv", ".npy", *MOVING)
 _FPS = 100.0
 _LEAST_WIDTH = 240
 
@@ -55,10 +55,7 @@ def export_aop_events(
         recording.packets(options["start_us"], options["stop_us"]), None, "packets")
         if len(packet.events))
     suffix = args.out.suffix.lower()
-    if suffix == ".aedat4":
-        count, pictures = _aedat4(args, recording, options, stream)
-        what = f"{count} AoP events in streams events and aop, {pictures} frames"
-    elif suffix in MOVING:
+    if suffix in MOVING:
         count, pictures = _video(args, recording, options, pieces, facts)
         what = f"{count} AoP events in {pictures} pictures"
     else:
@@ -115,27 +112,6 @@ def _npy(path: Path, pieces: Iterator[Events], facts: dict[str, Any]) -> int:
     export.write_json(path.with_suffix(".npy.json"), {
         **facts, "units": {"t": "us", "x": "pixel", "y": "pixel", "aop": "rad"}})
     return len(together)
-
-
-def _aedat4(
-    args: argparse.Namespace, recording: Recording, options: dict[str, Any],
-    stream: AopEvents,
-) -> tuple[int, int]:
-    """Write events, their angles and a frame per interval."""
-    count = 0
-    with export.AopEventsFile(
-            args.out, sensor_size=recording.info.sensor_size,
-            layout=stream.layout, fps=options["fps"] or _FPS) as file:
-        for packet in progress(recording.packets(
-                options["start_us"], options["stop_us"]), None, "packets"):
-            if len(packet.events):
-                file.add_angles(packet.events, stream.add(packet.events))
-                count += len(packet.events)
-        if not count:
-            raise UsageError(
-                f"{recording.name}: no event in the interval asked for: "
-                f"{covered(recording)}")
-    return count, file.frames
 
 
 def _video(

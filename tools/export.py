@@ -141,10 +141,9 @@ def _parser() -> argparse.ArgumentParser:
         "-o", "--out", type=Path, required=True, metavar="OUT", help="file to write")
     parser.add_argument(
         "--what", choices=("images", "aop-events"), default="images",
-        help="aop-events: an angle after each event instead of images, as .csv, .npy, "
-             ".aedat4 (streams of events, of their angles and of frames) or a video in "
-             "which events have the hue of their angle; with --set cutoff_hz=, "
-             "radius=, correct_phase=true; default images")
+        help="aop-events: an angle after each event instead of images, as .csv, .npy "
+             "or a video in which events have the hue of their angle; with --set "
+             "cutoff_hz=, radius=, correct_phase=true; default images")
     parser.add_argument(
         "--at", type=since_start, metavar="S",
         help="one image, at this time in seconds after the start of the recording")

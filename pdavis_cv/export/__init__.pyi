@@ -4,10 +4,6 @@ from .animation import (
     AnimationFile as AnimationFile,
     moving_file as moving_file,
 )
-from .aop_events import (
-    AopEventsFile as AopEventsFile,
-    read_aop_events as read_aop_events,
-)
 from .bag import BagFile as BagFile
 from .embedded import (
     light_unit as light_unit,

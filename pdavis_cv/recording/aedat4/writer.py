@@ -19,17 +19,14 @@ from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo, Source
 from pdavis_cv.recording.writer import RecordingWriter, source_text
 from pdavis_cv.sensor import Layout
 
-__all__ = ["ANGLES", "ANGLE_STEPS", "EVENTS", "FRAMES", "IMU", "TRIGGERS",
-           "Aedat4Writer", "StreamEncoder", "write_aedat4"]
+__all__ = ["EVENTS", "FRAMES", "IMU", "TRIGGERS", "Aedat4Writer", "StreamEncoder",
+           "write_aedat4"]
 
-EVENTS, FRAMES, IMU, TRIGGERS, ANGLES = range(5)
-ANGLE_STEPS = 18_000
-"""Steps of .01 degrees in half a turn: the width of a stream of angles."""
+EVENTS, FRAMES, IMU, TRIGGERS = range(4)
 _STREAMS = (("EVTS", "events", "Array of events (polarity ON/OFF)."),
             ("FRME", "frames", "Standard frame."),
             ("IMUS", "imu", "Inertial Measurement Unit data samples."),
-            ("TRIG", "triggers", "External triggers and special signals."),
-            ("EVTS", "aop", "AoP after each event: x in 0.01 degrees."))
+            ("TRIG", "triggers", "External triggers and special signals."))
 # A root table with one vector: size, root, identifier, padding, vtable, table.
 _VECTOR = struct.Struct("<II4s2xHHHiII")
 # vtable of 13 fields, then the table in the order of alignment.
@@ -85,9 +82,6 @@ class Aedat4Writer(RecordingWriter):
         If zstd is requested and its package is not installed.
     """
 
-    _numbers: tuple[int, ...] = (EVENTS, FRAMES, IMU, TRIGGERS)
-    """Streams that the header names."""
-
     def __init__(
         self, path: str | os.PathLike[str], *, sensor_size: tuple[int, int],
         layout: Layout | None = None, camera: str = UNKNOWN,
@@ -104,30 +98,23 @@ class Aedat4Writer(RecordingWriter):
         self._bits = frame_bits
         self._index = array("q")    # of each packet: offset, stream, size, ...
         self._file.write(MAGIC + _header(
-            self._numbers, self.sensor_size, layout, camera, compression,
+            range(len(_STREAMS)), self.sensor_size, layout, camera, compression,
             full_scale_dn, source))
         self._position_at = len(MAGIC) + 32
 
     def _write(self, packet: Packet) -> None:
         if len(packet.events):
-            self._put_events(EVENTS, packet.events)
+            self._put(EVENTS, _events(packet.events), len(packet.events),
+                      int(packet.events["t"][0]), int(packet.events["t"][-1]))
         for frame in packet.frames:
-            self._put_frame(frame)
+            self._put(FRAMES, _frame(frame, self._frame_bits(frame), self._note), 1,
+                      frame.mid_us, frame.mid_us)
         if len(packet.imu):
             self._put(IMU, _imu(packet.imu), len(packet.imu),
                       int(packet.imu["t"][0]), int(packet.imu["t"][-1]))
         if len(packet.triggers):
             self._put(TRIGGERS, _triggers(packet.triggers), len(packet.triggers),
                       int(packet.triggers["t"][0]), int(packet.triggers["t"][-1]))
-
-    def _put_events(self, stream: int, events: NDArray[Any]) -> None:
-        """Write events, in time order, as a packet of a stream."""
-        self._put(stream, _events(events), len(events), int(events["t"][0]),
-                  int(events["t"][-1]))
-
-    def _put_frame(self, frame: ApsFrame) -> None:
-        self._put(FRAMES, _frame(frame, self._frame_bits(frame), self._note), 1,
-                  frame.mid_us, frame.mid_us)
 
     def _put(self, stream: int, payload: bytes | NDArray[Any], count: int,
              start: int, stop: int) -> None:
@@ -395,9 +382,8 @@ def _info_node(
             attribute("typeDescription", description),
             attribute("typeIdentifier", kind),
             f'<node name="info" path="{path}info/">']
-        if number in (EVENTS, FRAMES, ANGLES):
-            width = ANGLE_STEPS if number == ANGLES else size[1]
-            lines += [attribute("sizeX", width, "int"),
+        if number in (EVENTS, FRAMES):
+            lines += [attribute("sizeX", size[1], "int"),
                       attribute("sizeY", size[0], "int")]
         if number == FRAMES:
             lines.append(attribute("fullScaleDN", full_scale_dn, "int"))
