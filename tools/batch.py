@@ -3,15 +3,16 @@
 Jobs that are done are not repeated, so an interrupted run continues when it is called
 again.  OUT receives a folder and a .json file for each job, summary.csv, and the web
 page index.html.  A recording that fails becomes a row with its error.  "pdavis batch
-status OUT" shows the progress.
+status OUT" counts the jobs that have ended so far.
 """
 from __future__ import annotations
 
 import argparse
 import importlib
 import itertools
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -176,21 +177,13 @@ def _dry_run(
 
 
 def _status(args: argparse.Namespace, out: str) -> int:
-    found = batch.status(out)
-    of = "" if found.total is None else f" of {found.total}"
-    tell(args, [
-        f"{Path(out)}: {found.done} done{of}, {found.failed} failed, "
-        f"{found.running} running in {found.runs} runs"
-        + ("" if found.left_s is None else f", {_clock(found.left_s)} left"),
-        *(f"{count} x {error}" for error, count in found.errors.items())],
-        **asdict(found))
+    table = batch.status(out)
+    errors = Counter(row["error"] for row in table.failed)
+    done, failed = len(table) - errors.total(), errors.total()
+    tell(args, [f"{Path(out)}: {done} done, {failed} failed",
+                *(f"{count} x {error}" for error, count in errors.most_common())],
+         done=done, failed=failed, errors=errors)
     return 0
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}"
 
 
 if __name__ == "__main__":

@@ -7,11 +7,10 @@ from .jobs import (
     Job as Job,
     Work as Work,
 )
-from .progress import (
-    Status as Status,
+from .table import (
+    Table as Table,
     status as status,
 )
-from .table import Table as Table
 from .works import (
     WORKS as WORKS,
     Calibrate as Calibrate,

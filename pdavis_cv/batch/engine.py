@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import platform
 import time
 import warnings
 from collections import deque
@@ -34,7 +33,6 @@ __all__ = ["plan", "run"]
 _PER_WORKER = 2     # submitted jobs per worker: one in work, one that waits
 _POLL_S = 0.5       # interval at which the run polls while nothing finishes
 _BROKEN_WAIT_S = 10.0   # time given to a broken executor's jobs to end
-_REPORT_S = 1.0     # interval of progress reports
 
 
 def run(
@@ -123,10 +121,13 @@ def run(
     every = [jobs] if isinstance(jobs, FusionOptions) else list(jobs)
     total = (len(recordings) * len(every)  # type: ignore[arg-type]
              if hasattr(recordings, "__len__") else None)
-    batch = _Batch(results, pool_factory(executor, workers), retries, timeout_s)
-    with _shown(total, progress) as show:
-        batch.run(_planned(recordings, every, results, work_of(work), stated),
-                  _Progress(results, total, show))
+    from tqdm import tqdm
+
+    with tqdm(total=total, unit=" jobs", leave=False,
+              disable=None if progress is None else not progress) as bar:
+        batch = _Batch(
+            results, pool_factory(executor, workers), retries, timeout_s, bar)
+        batch.run(_planned(recordings, every, results, work_of(work), stated))
     table = Table(results, batch.names, batch.unwritten)
     try:
         table.write()
@@ -200,6 +201,8 @@ class _Batch:
         Makes a Pool.
     retries : int
     timeout_s : float or None
+    bar : tqdm
+        Shows how many jobs have ended.
 
     Attributes
     ----------
@@ -211,9 +214,10 @@ class _Batch:
 
     def __init__(
         self, results: Results, make: Callable[[], Pool], retries: int,
-        timeout_s: float | None,
+        timeout_s: float | None, bar: Any,
     ) -> None:
-        self._results, self._make = results, make
+        self._results, self._make, self._bar = results, make, bar
+        self._failed = 0
         self._retries, self._timeout_s = retries, timeout_s
         self.names: list[str] = []
         self.unwritten: dict[str, Row] = {}
@@ -223,9 +227,9 @@ class _Batch:
         self._suspects: deque[_Attempt] = deque()
         self._elsewhere: list[Job] = []     # claimed by another run
 
-    def run(self, plan: Iterator[Job], progress: _Progress) -> None:
+    def run(self, plan: Iterator[Job]) -> None:
         """Do every job of a plan."""
-        fresh = self._claimed(plan, progress)
+        fresh = self._claimed(plan)
         try:
             while True:
                 self._fill(fresh)
@@ -233,14 +237,14 @@ class _Batch:
                     finished, _ = wait(
                         self._pending, _POLL_S, return_when=FIRST_COMPLETED)
                     for future in [one for one in self._pending if one in finished]:
-                        self._collect(future, progress)
+                        self._collect(future)
                 elif self._elsewhere:
                     time.sleep(_POLL_S)
-                    fresh = self._claimed(iter(self._elsewhere), progress, listed=True)
+                    fresh = self._claimed(iter(self._elsewhere), listed=True)
                     self._elsewhere = []
                 else:
                     break
-                progress.report(len(self._pending))
+                self._bar.refresh()     # so that its clock runs between jobs
         except BaseException:
             self._close(at_once=True)
             raise
@@ -249,17 +253,16 @@ class _Batch:
         finally:
             for attempt in (*self._pending.values(), *self._again, *self._suspects):
                 attempt.claim.release()
-            progress.end()
 
     def _claimed(
-        self, plan: Iterator[Job], progress: _Progress, *, listed: bool = False
+        self, plan: Iterator[Job], *, listed: bool = False
     ) -> Iterator[_Attempt]:
         """Claim and yield the jobs that are neither done nor claimed by another run."""
         known = set(self.names)
         for job in plan:
             if not listed:
                 if job.name in known:
-                    progress.count(DONE)    # two recordings of equal content
+                    self._count(DONE)   # two recordings of equal content
                     continue
                 known.add(job.name)
                 self.names.append(job.name)
@@ -271,7 +274,7 @@ class _Batch:
             elif claim is None or self._results.is_done(job.name):
                 if claim is not None:
                     claim.release()
-                progress.count(DONE)
+                self._count(DONE)
             else:
                 self._results.clean(job.name)
                 yield _Attempt(job, claim)
@@ -308,9 +311,7 @@ class _Batch:
         else:
             self._pending[future] = attempt
 
-    def _collect(
-        self, future: Future[tuple[Row, bool]], progress: _Progress
-    ) -> None:
+    def _collect(self, future: Future[tuple[Row, bool]]) -> None:
         """Take the row of a finished future, or arrange for another attempt."""
         attempt = self._pending.pop(future, None)
         if attempt is None:
@@ -319,7 +320,7 @@ class _Batch:
             row, again = future.result()
         except BrokenExecutor:
             if attempt.alone or not self._pending:
-                self._blame(attempt, progress)
+                self._blame(attempt)
             else:
                 self._suspects.append(attempt)
             self._recover()
@@ -333,17 +334,25 @@ class _Batch:
             attempt.number += 1
             self._again.append(attempt)
             return
-        self._end(attempt, row, progress)
+        self._end(attempt, row)
 
-    def _end(self, attempt: _Attempt, row: Row, progress: _Progress) -> None:
+    def _end(self, attempt: _Attempt, row: Row) -> None:
         name = attempt.job.name
         found = self._results.marker(name)
         if found is None or found["row"]["state"] != row["state"]:
             self.unwritten[name] = row
         attempt.claim.release()
-        progress.count(row["state"])
+        self._count(row["state"])
 
-    def _blame(self, attempt: _Attempt, progress: _Progress) -> None:
+    def _count(self, state: str) -> None:
+        """Count a job that has ended."""
+        self._failed += state != DONE
+        if self._failed:
+            self._bar.set_postfix_str(f"{self._failed} failed", refresh=False)
+        self._bar.update()
+        self._bar.refresh()
+
+    def _blame(self, attempt: _Attempt) -> None:
         """Record that a process died while it did this job and no other."""
         if attempt.number <= self._retries:
             attempt.number, attempt.alone = attempt.number + 1, True
@@ -353,7 +362,7 @@ class _Batch:
             attempt.job, attempt.number,
             "the process that did it died: killed, out of memory, or crashed")
         self._mark(row)
-        self._end(attempt, row, progress)
+        self._end(attempt, row)
 
     def _mark(self, row: Row) -> None:
         with contextlib.suppress(OSError):
@@ -383,60 +392,3 @@ class _Batch:
 
 def _failure(future: Future[Any]) -> BaseException | None:
     return None if future.cancelled() else future.exception()
-
-
-# ---- progress --------------------------------------------------------------------
-
-
-class _Progress:
-    """Report the progress of a run to `show`, and in a file to `batch.status`."""
-
-    def __init__(
-        self, results: Results, total: int | None, show: Callable[[int, int], None]
-    ) -> None:
-        self._show = show
-        host = platform.node()
-        self._results, self._run = results, f"{host}-{os.getpid()}-{id(self):x}"
-        self._done = self._failed = 0
-        self._reported_s = 0.0
-        self._facts = {"host": host, "pid": os.getpid(), "total": total,
-                       "started_s": time.time()}
-        self.report(0)
-
-    def count(self, state: str) -> None:
-        """Count a job that has ended."""
-        self._done += state == DONE
-        self._failed += state != DONE
-        self._show(self._done, self._failed)
-
-    def report(self, running: int) -> None:
-        """Write the progress, at most once per second."""
-        if time.monotonic() - self._reported_s < _REPORT_S:
-            return
-        self._reported_s = time.monotonic()
-        with contextlib.suppress(OSError):
-            self._results.write_progress(self._run, {
-                **self._facts, "done": self._done, "failed": self._failed,
-                "running": running, "seen_s": time.time()})
-
-    def end(self) -> None:
-        """Remove the file for `batch.status`."""
-        with contextlib.suppress(OSError):
-            self._results.remove_progress(self._run)
-
-
-@contextlib.contextmanager
-def _shown(
-    total: int | None, wanted: bool | None
-) -> Iterator[Callable[[int, int], None]]:
-    from tqdm import tqdm
-
-    with tqdm(total=total, unit=" jobs", leave=False,
-              disable=None if wanted is None else not wanted) as bar:
-        def show(done: int, failed: int) -> None:
-            bar.update(done + failed - bar.n)
-            if failed:
-                bar.set_postfix_str(f"{failed} failed", refresh=False)
-            bar.refresh()   # also between jobs, so that the clock runs
-
-        yield show

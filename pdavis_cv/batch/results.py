@@ -10,7 +10,6 @@ import secrets
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from pdavis_cv._beside import write_beside
 from pdavis_cv._remote import RemotePath, is_remote
@@ -68,7 +67,7 @@ class Results:
 
     def begin(self) -> None:
         """Create the folders."""
-        for name in ("parts", "claims", "identities", "runs"):
+        for name in ("parts", "claims", "identities"):
             (self._private / name).mkdir(parents=True, exist_ok=True)
 
     # ---- reading -------------------------------------------------------------
@@ -204,22 +203,6 @@ class Results:
         with contextlib.suppress(OSError):      # then the next run reads it again
             self._write(kept, {"state": state, "sha256": found})
         return found
-
-    # ---- progress ------------------------------------------------------------
-
-    def write_progress(self, run: str, facts: Facts) -> None:
-        """Write the progress of a run."""
-        self._write(f".batch/runs/{run}.json", facts)
-
-    def remove_progress(self, run: str) -> None:
-        """Remove the progress of a run that has ended."""
-        (self._private / "runs" / f"{run}.json").unlink()
-
-    def read_progress(self) -> Iterator[dict[str, Any]]:
-        """Yield the progress of each run."""
-        for path in (self._private / "runs").glob("*.json"):
-            with contextlib.suppress(OSError, ValueError):  # the run has just ended
-                yield json.loads(path.read_bytes())
 
 
 def _remove(path: Path) -> None:

@@ -8,7 +8,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from pdavis_cv._remote import RemotePath, is_remote
 from pdavis_cv._types import Facts
@@ -90,16 +90,6 @@ class StoredResults(Results):
         with tempfile.TemporaryDirectory(prefix="pdavis-batch-") as folder:
             yield Path(folder) / name
             self._at(name).put(Path(folder) / name)
-
-    def remove_progress(self, run: str) -> None:
-        """Remove the progress of a run that has ended."""
-        self._at(f".batch/runs/{run}.json").remove()
-
-    def read_progress(self) -> Iterator[dict[str, Any]]:
-        """Yield the progress of each run."""
-        for name in self._at(".batch/runs").below():
-            with contextlib.suppress(OSError):      # the run has just ended
-                yield json.loads(self._read(f".batch/runs/{name}"))
 
 
 def results_at(out: str | os.PathLike[str]) -> Results:

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import html
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from string import Template
@@ -10,10 +11,11 @@ from typing import Any
 
 import pdavis_cv
 from pdavis_cv.batch.results import DONE, Results
+from pdavis_cv.batch.stored import results_at
 from pdavis_cv.batch.worker import Row
 from pdavis_cv.export.tables import write_csv
 
-__all__ = ["Table"]
+__all__ = ["Table", "status"]
 
 _LAST = ("problems", "warnings", "attempt", "wall_s", "cpu_s", "peak_mib", "started",
          "host", "version", "name")
@@ -127,6 +129,28 @@ class Table(Sequence[Row]):
             for row in self:
                 file.write(_html_row(row, self.cells(row, shown)))
             file.write(after)
+
+
+def status(out: str | os.PathLike[str]) -> Table:
+    """Return the rows of the jobs of a folder of results that have ended.
+
+    Parameters
+    ----------
+    out : path
+        As given to `run`.
+
+    Returns
+    -------
+    Table
+        Also while a run is under way; those that are done and those that failed.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there are no results.
+    """
+    results = results_at(out)
+    return Table(results, results.names())
 
 
 def _cell(value: Any) -> Any:
