@@ -312,3 +312,9 @@ def test_the_command_sends_a_recording(
     else:
         assert len(said) == 1
         assert said[0].startswith("events: ")
+
+
+@pytest.mark.parametrize("option", ["--port", "--frames-port"])
+def test_a_port_that_there_is_not_is_refused(option, capsys):
+    assert main(["stream", "replay:x.aedat4", option, "99999"]) == 2
+    assert "must lie in 0..65535, got 99999" in capsys.readouterr().err
