@@ -125,8 +125,9 @@ def test_the_rate_of_events_is_drawn_over_time(page, served, recording):
         events = recording.events(t_us - round(1e6 / 60) + 1, t_us + 1)
         assert one["rate"] == pytest.approx(len(events) / round(1e6 / 60))
     # It is drawn when the browser paints next.
-    until(page, """document.getElementById('plot').getContext('2d').getImageData(
-        0, 0, plot.width, plot.height).data.some(value => value > 0)""")
+    until(page, """() => { const plot = document.getElementById('plot');
+        return plot.getContext('2d').getImageData(0, 0, plot.width, plot.height).data
+            .some(value => value > 0); }""")
 
 
 def region(page, left, top, right, bottom):
