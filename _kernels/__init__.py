@@ -86,6 +86,6 @@ from ._scenes import (
     texture_stokes,
 )
 from ._simulate import pixel_events
-from ._turning import turning_events, turning_learn, turning_read
+from ._turning import turning_events
 
 __all__ = [name for name in dir() if name[0] != "_"]

@@ -90,8 +90,6 @@ __all__ = [
     "texture_stokes",
     "tone_bgr",
     "turning_events",
-    "turning_learn",
-    "turning_read",
     "voxel_planes",
 ]
 
@@ -375,10 +373,3 @@ def turning_events(
     events: NDArray[Any], last: int, cells: NDArray[Any], segments: _F64, tau: float,
     share: float,
 ) -> int: ...
-def turning_learn(
-    cells: NDArray[Any], on: float, off: float, spread: float, told: _U8
-) -> None: ...
-def turning_read(
-    cells: NDArray[Any], t: float, tau: float, span: float, common: float, lag: float,
-    dc: _F32, quad: _F32, sigma: _F32, valid: _U8,
-) -> None: ...

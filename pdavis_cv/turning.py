@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +12,14 @@ __all__ = ["PulseClock", "TurningAnalyser"]
 
 _LEAST_RPM, _MOST_RPM = 0.1, 60_000.0
 _MOST_PULSES = 4096
-_STEADY, _LOOSE = 0.03, 0.25
-"""Deviation of a pulse, in periods, that is accepted at a steady speed and at most."""
-_LOST = 4
-"""Pulses in succession that do not fit, after which the period is measured anew."""
+_LOOSE = 0.25
+"""Deviation of a pulse from its time, in periods, that is accepted."""
+_LOST = 3
+"""Misfits in succession after which the period is measured anew."""
+_MEASURED = 5
+"""Pulses that tell a period."""
+_RECENT = 4096
+"""Pulses whose lines a clock gives: more than come within a packet."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,10 +107,10 @@ class TurningAnalyser:
             return np.array([[0.0, 2 * self.phase, 4e-6 * math.pi * self.rpm / 60]])
         clock = PulseClock(self)
         clock.add([] if pulses_us is None else pulses_us)
-        t, a = np.array(clock.kept).reshape(-1, 2).T
-        if len(t) < 2:
-            raise ValueError(
-                f"the recording must have two trigger pulses or more, got {len(t)}")
+        if len(clock.kept) < 2:
+            raise ValueError("the recording must have two trigger pulses or more, got "
+                             f"{len(clock.kept)}")
+        t, a = np.array(clock.kept).T
         rate = np.diff(a) / np.diff(t)
         return np.stack([t, a, np.append(rate, rate[-1])], 1)
 
@@ -130,28 +135,34 @@ class PulseClock:
     def __init__(self, analyser: TurningAnalyser) -> None:
         assert analyser.triggers is not None
         self._step = 4 * math.pi / analyser.triggers * analyser.sign
-        self._nominal = None if analyser.rpm is None else (
-            60e6 / abs(analyser.rpm) / analyser.triggers)
         self._phase = 2 * analyser.phase
-        self._period = self._nominal
-        self._spread = _LOOSE
-        # Deviation of the last pulse, and period and spread before it.
-        self._before: tuple[float, float | None, float] = 0.0, None, _LOOSE
-        self._waiting: list[float] = []
-        self._crowded = 0       # pulses in succession before which others were left out
+        self._period = self._nominal = None if analyser.rpm is None else (
+            60e6 / abs(analyser.rpm) / analyser.triggers)
+        # Period before the last pulse that fits, and by how much that is off.
+        self._before: tuple[float, float] | None = None
+        self._recent: deque[float] = deque(maxlen=_MEASURED)
+        self._misfits = 0       # three times those of late, less pulses that fit
         self.kept: list[tuple[float, float]] = []
 
     def add(self, pulses_us: ArrayLike) -> None:
         """Add the times of pulses, increasing, not before those added earlier."""
         for t in np.asarray(pulses_us, np.float64).ravel().tolist():
-            self._take(t)
+            self._recent.append(t)
+            if not self.kept:
+                self.kept.append((t, self._phase))
+            elif self._period is not None:
+                self._misfits += -1 if self._fit(t, self._period) else 3
+                self._misfits = max(self._misfits, 0)
+            if self._misfits >= 3 * _LOST or (
+                    self._period is None and len(self._recent) == _MEASURED):
+                self._measure()
 
     def segments(self) -> NDArray[np.float64]:
         """Return lines as `TurningAnalyser.segments` does, each from earlier pulses.
 
         The speed after a pulse is that before it, as a later pulse is not known then.
         """
-        t, a = np.array(self.kept).reshape(-1, 2).T
+        t, a = np.array(self.kept[-_RECENT:]).reshape(-1, 2).T
         if len(t) < 2:
             period = self._nominal or 100_000.0
             first = self.kept[0] if self.kept else (0.0, self._phase)
@@ -159,55 +170,31 @@ class PulseClock:
         rate = np.diff(a) / np.diff(t)
         return np.stack([t, a, np.append(rate[:1], rate)], 1)
 
-    def _take(self, t: float) -> None:
-        if not self.kept:
-            self.kept.append((t, self._phase))
-            return
-        last, _ = self.kept[-1]
-        if self._period is None:
-            self._waiting.append(t)
-            if len(self._waiting) >= _LOST:
-                self._measure()
-            return
-        if self._fits_better(t):
+    def _fit(self, t: float, period: float) -> bool:
+        """Keep a pulse if it comes about whole periods after the last one."""
+        last, angle = self.kept[-1]
+        if self._before is not None and t - last < _LOOSE * period:
+            # It may lie where the last one should have, which was then a false one.
+            first, angle = self.kept[-2]
+            before, off = self._before
+            count = round((last - first) / before)
+            if abs((t - first) / before - count) > off:
+                return False
             self.kept.pop()
-            self._period, self._spread = self._before[1:]
-            last, _ = self.kept[-1]
-            assert self._period is not None
-        count = round((t - last) / self._period)
-        off = abs((t - last) / self._period - count)
-        if count < 1 or off > min(max(4 * self._spread, _STEADY), _LOOSE) * math.sqrt(
-                max(count, 1)):
-            self._waiting.append(t)
-            if len(self._waiting) >= _LOST and t - last > _LOST * self._period:
-                self._measure()
-            return
-        crowd = len(self._waiting)
-        self._crowded = self._crowded + 1 if crowd else 0
-        if crowd >= _LOST - 1 or self._crowded >= _LOST:   # pulses come faster
-            self._waiting.append(t)
-            self._measure()
-            return
-        self._waiting.clear()
-        self._before = off, self._period, self._spread
-        self.kept.append((t, self.kept[-1][1] + count * self._step))
-        self._period = (t - last) / count
-        self._spread += 0.3 * (off - self._spread)
-
-    def _fits_better(self, t: float) -> bool:
-        """Return whether a pulse lies where the last one that was kept should have."""
-        off, period, _ = self._before
-        if len(self.kept) < 2 or period is None:
+            last, period = first, before
+        count = round((t - last) / period)
+        off = abs((t - last) / period - count)
+        if count < 1 or off > _LOOSE:
             return False
-        last, before = self.kept[-1][0], self.kept[-2][0]
-        count = round((last - before) / period)
-        return abs((t - before) / period - count) < off
+        self.kept.append((t, angle + count * self._step))
+        self._before, self._period = (period, off), (t - last) / count
+        return True
 
     def _measure(self) -> None:
-        """Take the period of pulses that wait, and those that fit it."""
-        waiting, self._waiting, self._crowded = self._waiting, [], 0
-        gaps = np.diff([self.kept[-1][0], *waiting])
-        self._period, self._spread = float(np.median(gaps[gaps > 0])), _LOOSE
-        self._before = 0.0, None, _LOOSE
-        for t in waiting:
-            self._take(t)
+        """Take the period of the last pulses, and those that fit it."""
+        self._before, self._misfits = None, 0
+        self._period = float(np.median(np.diff(self._recent)))
+        last, _ = self.kept[-1]
+        for t in self._recent:
+            if t > last:
+                self._fit(t, self._period)

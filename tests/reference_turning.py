@@ -1,8 +1,8 @@
-"""Plain NumPy versions of the kernels of a turning analyser, in float64."""
+"""Plain versions of the regression behind a turning analyser, pixel by pixel."""
 import numpy as np
 
-GUESS, FLOOR, WIDE, OUTLIER, RATIO, DARKEST, FEW = (
-    0.0256, 0.02, 0.5, 0.25, 2, 0.02, 0.8)
+GUESS, FLOOR, WIDE, OUTLIER, RATIO, DARKEST, FEW, SILENT = (
+    0.0256, 0.02, 0.5, 0.25, 2, 0.02, 0.8, 0.35)
 
 
 def phi(a):
@@ -54,6 +54,29 @@ class Pixel:
         self.s += g * error
         self.rest = self.rest * slow + np.clip(error, -2 * abs(step), 2 * abs(step))
         self.rows.append((*g, y, p, 1 / (1 + (error / (OUTLIER * step)) ** 2)))
+
+    def read(self, t, tau, span, scale, common, late):
+        """Return q, its errors along and across its direction, and S0."""
+        age = max(t - self.last[0], 0)
+        slow = np.exp(-age / (RATIO * tau))
+        gone = slow**RATIO
+        theta = np.sinh(self.theta[1] / 2) + np.sinh(-self.theta[0] / 2)
+        floor = (FLOOR * theta) ** 2
+        ridge = floor / WIDE**2 + (age > span) * (FLOOR / SILENT) ** 2
+        a, b, n = self.a * gone, self.b * gone, self.n * gone
+        q = solved(a, b, ridge)
+        ratio = n / (2 * n - 1) if n > 1 else 1
+        left = max(self.yy * gone - 2 * q @ b + q @ a @ q, 0)
+        variance = (left + floor) / (max(n - 2 * ratio, 0) + 1)
+        a = a + ridge * variance / floor * np.eye(2)
+        q = solved(a, b, 0)
+        drift = np.linalg.solve(a, self.s * gone)
+        degree = np.hypot(*q)
+        directions = np.array([q, (-q[1], q[0])]) / degree
+        along, across = (max(variance * ratio * way @ np.linalg.solve(a, way),
+                             (late * way @ drift)**2) for way in directions)
+        along += ((1 - degree**2) * np.arctanh(degree))**2 * (scale**2 + common**2)
+        return q, np.sqrt(along), np.sqrt(across), np.exp(self.rest * slow)
 
     def thresholds(self, on, off, spread):
         """Least squares for q, ln on and ln off, with their prior, on all rows."""

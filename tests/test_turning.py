@@ -17,12 +17,12 @@ from pdavis_cv.tools.main import main
 from pdavis_cv.turning import PulseClock, TurningAnalyser
 
 
-def regression(scene, **parameters):
+def regression(scene, events=None, **parameters):
     """Return a method that has seen a scene, with the thresholds of a data sheet."""
     known = {"theta_on": 0.23, "theta_off": 0.27, "segments": TurningAnalyser(
         rpm=60 * scene.hz, phase=scene.phase).segments()} | parameters
     method = TurningRegression((1, len(scene.on)), **known)
-    method.add_events(scene.events)
+    method.add_events(scene.events if events is None else events)
     return method
 
 
@@ -152,21 +152,14 @@ def test_the_other_direction_mirrors_the_angle(still):
     assert rms(np.rad2deg(angle)) < 1
 
 
-def test_state_and_packets_do_not_change_the_images(still):
+def test_packets_do_not_change_the_images(still):
     whole = at_end(regression(still), still)
     parts = TurningRegression((1, len(still.on)), theta_on=0.23, theta_off=0.27,
                               segments=TurningAnalyser(rpm=60 * still.hz).segments())
-    cut = len(still.events) // 3
-    for i in range(0, cut, 997):
-        parts.add_events(still.events[i:min(i + 997, cut)])
-    kept = pickle.loads(pickle.dumps(parts.snapshot()))
-    parts.add_events(still.events[cut:])
-    again = TurningRegression(parts.shape, **parts.parameters)
-    again.restore(kept)
-    again.add_events(still.events[cut:])
-    for one in at_end(parts, still), at_end(again, still):
-        for mine, other in zip(whole, one, strict=True):
-            np.testing.assert_array_equal(mine, other)
+    for i in range(0, len(still.events), 997):
+        parts.add_events(still.events[i:i + 997])
+    for mine, other in zip(whole, at_end(parts, still), strict=True):
+        np.testing.assert_array_equal(mine, other)
 
 
 def test_frames_give_the_level_of_s0(still):
@@ -194,12 +187,7 @@ def test_an_image_cannot_lie_before_what_was_fed(still):
         method.polarization(still.stop_us - 200_000)
 
 
-# ---- kernels and their twins ---------------------------------------------------------
-
-
-def cells_like(method):
-    """Return cells of the kernel, with nothing in them."""
-    return TurningRegression(method.shape, **method.parameters)._cells
+# ---- computations and their twins ----------------------------------------------------
 
 
 def test_sums_match_the_reference(still):
@@ -220,27 +208,47 @@ def test_sums_match_the_reference(still):
 
 
 def test_thresholds_match_the_reference(still):
-    method = regression(still, learn=False)
-    events = still.events[still.events["t"] < 300_000]
-    cells = cells_like(method)
-    _kernels.turning_events(events, -2**62, cells, method.segments, 12_500.0, 1.0)
-    told = np.zeros(cells.shape, np.uint8)
-    _kernels.turning_learn(cells, 0.23, 0.27, 0.3, told)
+    method = regression(still, learn=False, events=still.events[:60_000])
     (_, phase, rate), = method.segments
-    for x in np.flatnonzero(told[0] == 2)[:4]:
+    method._look()
+    strong = np.flatnonzero(method._cells["scale"][0] < 0.15)
+    assert len(strong) > 100
+    for x in strong[:4]:
         pixel = reference.Pixel(0.23, 0.27)
-        for event in events[events["x"] == x]:
-            t = float(event["t"])
-            pixel.event(t, int(event["p"]), phase + rate * t, rate, 12_500.0, 1.0)
+        for event in still.events[:60_000]:
+            if event["x"] == x:
+                t = float(event["t"])
+                pixel.event(t, int(event["p"]), phase + rate * t, rate, 12_500.0, 1.0)
         steps = np.clip(pixel.thresholds(0.23, 0.27, 0.3), -0.2, 0.2)
-        on, off = (2 * np.log(cells[name][0, x]) for name in ("on", "off"))
         np.testing.assert_allclose(
-            np.log([on / 0.23, off / 0.27]), steps, atol=3e-3)
+            np.log(method.thresholds[:, 0, x] / [0.23, 0.27]), steps, atol=3e-3)
 
 
-def test_kernels_stop_at_the_first_bad_event(still):
+@pytest.mark.parametrize("later_us", [0, 6000, 60_000])
+def test_images_match_the_reference(still, later_us):
     method = regression(still, learn=False)
-    cells = cells_like(method)
+    (_, phase, rate), = method.segments
+    t, tau = still.stop_us + later_us, 12_500.0
+    found = method.polarization(t - method.lookahead_us)
+    for x in 3, 17, 40:
+        pixel = reference.Pixel(0.23, 0.27)
+        for event in still.events[still.events["x"] == x]:
+            at = float(event["t"])
+            pixel.event(at, int(event["p"]), phase + rate * at, rate, tau, 1.0)
+        q, along, across, s0 = pixel.read(
+            t, tau, method.half_us, 0.06, method.common_sigma, 0.5)
+        i0, i45, i90, i135 = found.quad[:, 0, x]
+        np.testing.assert_allclose([i0 + i90, i0 - i90, i45 - i135],
+                                   [s0, *(s0 * q)], rtol=3e-3, atol=1e-3)
+        sigmas = found.sigmas[:, 0, x]
+        np.testing.assert_allclose(
+            sigmas[::2], [across / 2 / np.hypot(*q), across], rtol=0.01)
+        assert sigmas[1] == pytest.approx(along, rel=0.06)   # atanh is a short series
+
+
+def test_the_kernel_stops_at_the_first_bad_event(still):
+    method = regression(still, learn=False)
+    cells = method._cells
     events = np.zeros(4, EVENT_DTYPE)
     events["t"] = 10, 20, 15, 30
     take = _kernels.turning_events
@@ -250,8 +258,6 @@ def test_kernels_stop_at_the_first_bad_event(still):
     assert take(events[:0], 0, cells, method.segments, 1e4, 1.0) == 0
     with pytest.raises(ValueError, match="segments must be"):
         take(events, 0, cells, np.zeros((0, 3)), 1e4, 1.0)
-    with pytest.raises(ValueError, match="told must have"):
-        _kernels.turning_learn(cells, 0.2, 0.2, 0.1, np.zeros((2, 1), np.uint8))
 
 
 # ---- the angle -----------------------------------------------------------------------

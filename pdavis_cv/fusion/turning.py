@@ -1,6 +1,8 @@
 """Images of a camera behind a turning analyser: without a mosaic, from events alone."""
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Iterator
 from fractions import Fraction
 from types import MappingProxyType
@@ -65,39 +67,27 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
         x, y, w, h = checked_roi(options.roi, size, "bilinear")
         self._window = Window(slice(y, y + h), slice(x, x + w), size)
         self.shape = h, w
-        self._index = 0
-        self._method: TurningRegression | None = None
-        self._frame_us: int | None = None
+        self._fps = options.rate or Fraction(100)
         ratio = options.extinction_ratio
         self._ratio = None if isinstance(ratio, str) or ratio is None else float(ratio)
-        zero = ("; the zero of its angle and its direction are unknown"
-                if self._analyser.found else "")
-        s0 = () if recording.info.frame_count else (
-            "S0 is relative to its recent mean, as events tell changes only",)
+        assumed = []
+        if self._analyser.found:
+            assumed.append("speed of the analyser: found from events; the zero of its "
+                           "angle and its direction are unknown")
+        if not recording.info.frame_count:
+            assumed.append(
+                "S0 is relative to its recent mean, as events tell changes only")
         self.provenance: Facts = MappingProxyType({
-            "pdavis_cv": pdavis_cv.__version__, "method": TurningRegression.method,
+            "pdavis_cv": pdavis_cv.__version__, "method": "turning",
             "parameters": dict(options.parameters), "causal": options.causal,
             "analyser": repr(self._analyser), "extinction_ratio": self._ratio,
             "roi": (x, y, w, h),
             "source": str(recording.path) if recording.path else recording.info.format,
-            "assumed": [f"speed of the analyser: found from events{zero}"] * bool(zero)
-            + list(s0)})
+            "assumed": assumed})
+        self._images = self._made()
 
     def __next__(self) -> PolarFrame:
-        if self._method is None:
-            self._begin()
-        assert self._method is not None
-        t = self._next_time()
-        if t is None:
-            raise StopIteration
-        self._index += 1
-        for item in self._feed.until(t + (self._method.lookahead_us or 0)):
-            self._add(self._method, item)
-        found = self._method.polarization(t)
-        return PolarFrame.adopt(
-            found.quad, valid=found.valid, t_us=t, frame_us=self._frame_us,
-            extinction_ratio=self._ratio, sigmas=found.sigmas,
-            provenance=self.provenance)
+        return next(self._images)
 
     def __len__(self) -> int:
         """Return the number of all images, if options and the file's header tell it."""
@@ -111,27 +101,38 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
         stop = stop if last is None else min(stop, last)
         return grid_count(stop - start, self._fps)
 
-    @property
-    def _fps(self) -> Fraction:
-        return self._options.rate or Fraction(100)
-
     def close(self) -> None:
         """Do nothing: no thread has to end."""
 
-    def _next_time(self) -> int | None:
-        times, stop = self._options.times, self._options.stop_us
-        if times is not None:
-            if self._index >= len(times):
-                return None
-            t = int(times[self._index])
-        elif self._start is None:
-            return None
-        else:
-            t = self._start + grid_us(self._index, self._fps)
-        late = stop is not None and t >= stop
-        return None if late or not self._feed.reaches(t) else t
+    def _made(self) -> Iterator[PolarFrame]:
+        method, feed = self._begun()
+        stop = math.inf if self._options.stop_us is None else self._options.stop_us
+        frame_us: int | None = None
+        for t in self._times(feed):
+            if t >= stop or not feed.reaches(t):
+                return
+            for item in feed.until(t + method.lookahead_us):
+                if not isinstance(item, ApsFrame):
+                    method.add_events(self._window.events(item))
+                elif not self._options.causal:  # there it follows events after it
+                    frame_us = item.mid_us
+                    method.add_frame(self._window.frame(item))
+            found = method.polarization(t)
+            yield PolarFrame.adopt(
+                found.quad, valid=found.valid, t_us=t, frame_us=frame_us,
+                extinction_ratio=self._ratio, sigmas=found.sigmas,
+                provenance=self.provenance)
 
-    def _begin(self) -> None:
+    def _times(self, feed: Feed) -> Iterator[int]:
+        if self._options.times is not None:
+            yield from map(int, self._options.times)
+            return
+        first, start = feed.first_us(), self._options.start_us
+        start = first if start is None else start
+        if start is not None:
+            yield from (start + grid_us(k, self._fps) for k in itertools.count())
+
+    def _begun(self) -> tuple[TurningRegression, Feed]:
         """Find the angle, learn the thresholds, and open the stream."""
         source, options = self._recording, self._options
         packets = source.packets()
@@ -155,12 +156,9 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
             else _STATED_SIGMA, "centred": not self._passes, **options.parameters}
         if not self._passes and known.get("learn", True):
             on, off, known["threshold_sigma"] = self._learned(on, off, known)
-        self._feed = self._opened(packets)
-        first = self._feed.first_us()
-        self._start = first if options.start_us is None else options.start_us
         plane = self._window.plane
-        self._method = TurningRegression(
-            self.shape, theta_on=plane(on), theta_off=plane(off), **known)
+        return TurningRegression(self.shape, theta_on=plane(on), theta_off=plane(off),
+                                 **known), self._opened(packets)
 
     def _opened(self, packets: Iterator[Packet]) -> Feed:
         info = self._recording.info
@@ -182,15 +180,6 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
             if item["t"][-1] > stop or count > _LEARN_EVENTS:
                 break
         return *method.thresholds, method.common_sigma
-
-    def _add(self, method: TurningRegression, item: Any) -> None:
-        if not isinstance(item, ApsFrame):
-            inside = self._window.events(item)
-            if len(inside):
-                method.add_events(inside)
-        elif not self._options.causal:      # there it comes after events that follow it
-            self._frame_us = item.mid_us
-            method.add_frame(self._window.frame(item))
 
 
 def _pulses(packet: Packet) -> NDArray[np.int64]:

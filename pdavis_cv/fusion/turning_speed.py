@@ -15,7 +15,7 @@ _LOWEST_HZ, _HIGHEST_HZ = 8.0, 130.0
 _BLOCK = 16
 """Side of the blocks of pixels whose events are counted together: polarization differs
 little within one, so that its ON and OFF events alternate."""
-_MOST_EVENTS = 4_000_000
+_MOST_EVENTS, _MOST_BLOCKS = 4_000_000, 256
 _WINDOW_S, _BIN_S = 1.0, 1e-3
 _CLEAR = 6.0
 """Least height of the peak of a modulation above the median of the spectrum."""
@@ -106,22 +106,19 @@ def _strongest(
     t: NDArray[np.float64], block: NDArray[np.intp], sign: NDArray[np.float64]
 ) -> float | None:
     """Return the modulation frequency of most power, summed over blocks."""
-    _, which = np.unique(block, return_inverse=True)
-    count = np.bincount(which)
-    order = np.argsort(-count)[:256]
-    rank = np.full(len(count), -1)
-    rank[order] = np.arange(len(order))
-    bins = max(int(_WINDOW_S / _BIN_S), 1)
+    bins = int(_WINDOW_S / _BIN_S)
     at = (t / _BIN_S).astype(np.intp)
-    good = (rank[which] >= 0) & (at >= 0) & (at < bins)
-    rates = np.bincount(rank[which][good] * bins + at[good], sign[good],
-                        len(order) * bins).reshape(len(order), bins)
+    inside = (at >= 0) & (at < bins)
+    block, at, sign = block[inside], at[inside], sign[inside]
+    count = np.bincount(block)
+    rates = np.bincount(block * bins + at, sign, len(count) * bins).reshape(-1, bins)
+    rates = rates[np.argsort(-count)[:_MOST_BLOCKS]]
     size = 4 * bins
     power = (np.abs(np.fft.rfft(rates * np.hanning(bins), size)) ** 2).sum(0)
     hz = np.fft.rfftfreq(size, _BIN_S)
-    inside = (hz >= _LOWEST_HZ) & (hz <= _HIGHEST_HZ)
-    best = int(np.argmax(np.where(inside, power, 0)))
-    if not power[best] > _CLEAR * np.median(power[inside]):
+    wanted = (hz >= _LOWEST_HZ) & (hz <= _HIGHEST_HZ)
+    best = int(np.argmax(np.where(wanted, power, 0)))
+    if not power[best] > _CLEAR * np.median(power[wanted]):
         return None
     left, top, right = power[best - 1:best + 2]
     bend = left - 2 * top + right
@@ -143,9 +140,8 @@ def _followed(
         span = _CYCLES * 2 * math.pi / rate
         first, last = np.searchsorted(t, (at, at + span))
         angle = phase + rate * (t[first:last] - at)
-        wave = np.bincount(block[first:last], sign[first:last] * np.cos(angle), count
-                           ) - 1j * np.bincount(
-            block[first:last], sign[first:last] * np.sin(angle), count)
+        wave = np.zeros(count, np.complex128)
+        np.add.at(wave, block[first:last], sign[first:last] * np.exp(-1j * angle))
         error = float(np.angle(np.vdot(template, wave))) if template.any() else 0.0
         template = _KEPT * template + wave * np.exp(-1j * error)
         middle = at + span / 2

@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -11,15 +10,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold, positive, sensor_shape
-from pdavis_cv._types import Events, Parameters, Records, State
+from pdavis_cv._types import Events, Records
 from pdavis_cv.events import checked_time, timed_events
-from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.frames import log_samples
 from pdavis_cv.reconstruct.stream_clock import StreamClock
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.turning import PulseClock
 
 __all__ = ["Polarization", "TurningRegression"]
+
+Plane = NDArray[np.float32]
 
 _CELL = np.dtype([("t", "f8"), *((name, "f4") for name in (
     "c s s1 s2 on off sign rest a11 a12 a22 b1 b2 yy n l11 l12 l22 m1 m2 zz "
@@ -37,6 +37,21 @@ _LOOKS = 4, 64
 """Half turns after which thresholds are first estimated, and at most between two."""
 _LATE = 0.5, 1.0
 """Part of the drift of q over the rows' mean age that is its error, centred and not."""
+_LEAST_LEARNT = 8.0     # rows of a pixel whose thresholds are learned
+_STILL = 0.08           # most error of a row where only the analyser turns
+_STRONG = 0.3           # degree at which the curve's shape tells thresholds
+_LONGEST_STEP = 0.2     # of ln threshold at once
+
+_ROW_FLOOR = 0.02       # least error of an event's row, thresholds
+_WIDE = 0.5             # of q where nothing is known of it
+_SILENT = 0.35          # of q after a period without events, thresholds: a swing, 2 q,
+                        # of up to one
+_PRIOR_ROWS = 1.0       # rows that say that the error is _ROW_FLOOR
+_ATANH = 1 / 3, 0.2, 0.35       # of atanh(x) / x; the last one for all that follow
+_MOST_ANGLE = math.pi / math.sqrt(12)   # error of a random angle
+_LEAST_ROWS, _UNKNOWN, _UNSURE = 1.0, 0.1, 0.2
+"""Least rows of a usable pixel, and its most errors of DoLP and AoP."""
+_LEAST_DET = 1e-20
 
 
 class Polarization(NamedTuple):
@@ -51,12 +66,12 @@ class Polarization(NamedTuple):
     valid : ndarray of bool, shape (H, W)
     """
 
-    quad: NDArray[np.float32]
-    sigmas: NDArray[np.float32]
+    quad: Plane
+    sigmas: Plane
     valid: NDArray[np.bool_]
 
 
-class TurningRegression(Reconstructor):
+class TurningRegression:
     """Regress each pixel's events on the angle of a turning analyser.
 
     Behind it the light is S0/2 (1 + q1 cos 2a + q2 sin 2a), with q = (S1, S2)/S0.  From
@@ -83,15 +98,20 @@ class TurningRegression(Reconstructor):
     threshold_sigma : float
         Relative error of the stated thresholds that all pixels have in common.
 
+    Attributes
+    ----------
+    half_us : float
+        Median time of half a turn, us.
+    lookahead_us : int
+        Time after an image whose events it uses.
+    common_sigma : float
+        Relative error that all thresholds have in common.
+
     Raises
     ------
     ValueError
         If a value is out of range.
     """
-
-    method = "turning"
-    needs = Needs(frames=True)
-    causal_parameters = MappingProxyType({"centred": False})
 
     def __init__(
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
@@ -99,31 +119,33 @@ class TurningRegression(Reconstructor):
         learn: bool = True, threshold_sigma: float = 0.5,
     ) -> None:
         self.shape = sensor_shape(shape)
-        on = checked_threshold("theta_on", theta_on, self.shape)
-        off = checked_threshold("theta_off", theta_off, self.shape)
+        theta = np.stack([np.broadcast_to(checked_threshold(name, given, self.shape),
+                                          self.shape) for name, given in (
+            ("theta_on", theta_on), ("theta_off", theta_off))])
         self._half_turns = positive("half_turns", half_turns)
         self._sigma = positive("threshold_sigma", threshold_sigma)
-        self._centred, self._learn = bool(centred), bool(learn)
+        self._learn = bool(learn)
         self._given = segments if isinstance(segments, PulseClock) else np.array(
             segments, np.float64).reshape(-1, 3)
         rate = float(np.median(np.abs(self.segments[:, 2])))
         if not rate > 0:
             raise ValueError("segments must hold rates that are not 0")
-        self._half_us = 2 * math.pi / rate
-        self._tau = self._half_us * self._half_turns / 2
-        self.lookahead_us = round(self._tau) if self._centred else 0
+        self.half_us = 2 * math.pi / rate
+        self._tau = self.half_us * self._half_turns / 2
+        self.lookahead_us = round(self._tau) if centred else 0
+        self._late = _LATE[not centred]
         self._clock = StreamClock(self.shape)
         self._cells = _aligned(self.shape)
         self._cells["t"] = -np.inf
-        self._cells["on"], self._cells["off"] = np.exp(on / 2), np.exp(off / 2)
         self._cells["scale"] = _OWN_SPREAD
-        self._theta = on, off
-        self._mean = math.exp(np.log(on).mean()), math.exp(np.log(off).mean())
-        self._common, self._counts = self._sigma, [0, 0]
+        self._log_theta = np.log(theta).astype(np.float32)
+        self._cells["on"], self._cells["off"] = np.exp(theta / 2)
+        # ln of the mean threshold, ON and OFF.
+        self._mean = self._log_theta.astype(np.float64).mean((1, 2))
+        self.common_sigma, self._counts = self._sigma, [0, 0]
         self._start: int | None = None
         self._looks = 0
         self._dc = np.zeros(self.shape, np.float32)
-        self._has_dc = False
 
     @property
     def segments(self) -> NDArray[np.float64]:
@@ -132,33 +154,20 @@ class TurningRegression(Reconstructor):
             self._given, PulseClock) else self._given
 
     @property
-    def half_us(self) -> float:
-        """Median time of half a turn, us."""
-        return self._half_us
-
-    @property
-    def parameters(self) -> Parameters:
-        """Parameters that make an equal TurningRegression."""
-        return {"theta_on": self._theta[0], "theta_off": self._theta[1],
-                "segments": self._given, "half_turns": self._half_turns,
-                "centred": self._centred, "learn": self._learn,
-                "threshold_sigma": self._sigma}
-
-    @property
-    def thresholds(self) -> NDArray[np.float32]:
+    def thresholds(self) -> Plane:
         """Thresholds of each pixel, ON and OFF, as they are known; (2, H, W)."""
-        halves = np.stack([self._cells["on"], self._cells["off"]])
-        return np.asarray(2 * np.log(halves), np.float32)
-
-    @property
-    def common_sigma(self) -> float:
-        """Relative error that all thresholds have in common."""
-        return self._common
+        return np.stack([_exp(plane) for plane in self._log_theta])
 
     # ---- feeding -------------------------------------------------------------
 
     def add_events(self, events: Events) -> None:
-        """Add rows to the pixels' sums (see `Reconstructor.add_events`)."""
+        """Add rows to the pixels' sums.
+
+        Parameters
+        ----------
+        events : ndarray of EVENT_DTYPE
+            In time order, not before those added earlier.
+        """
         events = timed_events(events)
         if self._start is None and len(events):
             self._start = int(events["t"][0])
@@ -186,26 +195,32 @@ class TurningRegression(Reconstructor):
         first, most = _LOOKS
         last: int = min(self._looks, int(math.log2(most / first)))
         half_turns = float(first * 2**last + most * (self._looks - last))
-        return (self._start or 0) + half_turns * self._half_us
+        return (self._start or 0) + half_turns * self.half_us
 
     def _look(self) -> None:
         """Estimate all thresholds from what the pixels have seen."""
         self._looks += 1
+        known = self.common_sigma <= _COMMON or self._sigma < _FIRST_SPREAD
         told = np.zeros(self.shape, np.uint8)
-        known = self._common <= _COMMON or self._sigma < _FIRST_SPREAD
-        _kernels.turning_learn(
-            self._cells, *self._mean, _OWN_SPREAD if known else _FIRST_SPREAD, told)
-        on, off = np.log(self.thresholds)
-        size, ratio = math.log(self._mean[0] * self._mean[1]) / 2, None
+        seen = self._cells["n1"] + self._cells["n0"] >= _LEAST_LEARNT
+        cells = self._cells[seen]
+        self._log_theta[:, seen], told[seen] = _learned(
+            cells, self._log_theta[:, seen], self._mean,
+            _OWN_SPREAD if known else _FIRST_SPREAD)
+        self._cells[seen] = cells
+        on, off = self._log_theta
+        self._cells["on"], self._cells["off"] = (
+            _exp(theta / 2) for theta in self.thresholds)
+        size, ratio = self._mean.mean(), None
         if np.count_nonzero(told) >= _STILL_PIXELS:
             ratio = float(np.median((on - off)[told > 0]))
         elif min(self._counts) > 0:     # a pixel that ends where it began has as many
             ratio = math.log(self._counts[1] / self._counts[0])
         if np.count_nonzero(told == 2) >= _STILL_PIXELS:
             size = float(np.median((on + off)[told == 2])) / 2
-            self._common = min(self._common, _COMMON)
+            self.common_sigma = min(self.common_sigma, _COMMON)
         if ratio is not None:
-            self._mean = math.exp(size + ratio / 2), math.exp(size - ratio / 2)
+            self._mean = np.array([size + ratio / 2, size - ratio / 2])
 
     def add_frame(self, frame: ApsFrame) -> None:
         """Take the level of S0 from a frame."""
@@ -224,7 +239,6 @@ class TurningRegression(Reconstructor):
         level = log + math.log(2) - np.log(np.maximum(light, 0.02))
         rest = np.log(s0) - self._dc
         np.copyto(self._dc, (level - rest).astype(np.float32), where=valid)
-        self._has_dc = True
 
     # ---- reading -------------------------------------------------------------
 
@@ -234,45 +248,155 @@ class TurningRegression(Reconstructor):
         Parameters
         ----------
         t_us : int
-            Not before the last time fed, less ``lookahead_us``.
+            Not before the last time fed, less `lookahead_us`.
         """
-        t = checked_time("t_us", t_us) + (self.lookahead_us or 0)
+        t = checked_time("t_us", t_us) + self.lookahead_us
         if t < self._clock.last_us:
             raise ValueError(
                 "t_us must not lie before the last time seen less the look-ahead, "
-                f"{self._clock.last_us - (self.lookahead_us or 0)}, got {t_us}")
+                f"{self._clock.last_us - self.lookahead_us}, got {t_us}")
         return self._read(t)
 
     def _read(self, t: int) -> Polarization:
-        quad, sigmas = (np.empty((n, *self.shape), np.float32) for n in (4, 3))
-        valid = np.empty(self.shape, np.bool_)
-        _kernels.turning_read(
-            self._cells, t, self._tau, self._half_us, self._common,
-            _LATE[not self._centred], self._dc, quad, sigmas,
-            valid.view(np.uint8))
-        return Polarization(quad, sigmas, valid)
+        cell = self._cells
+        on, off = cell["on"], cell["off"]
+        theta = 0.5 * (on - 1 / on + off - 1 / off)
+        floor = (_ROW_FLOOR * theta) ** 2
+        age = np.maximum(t - cell["t"], 0).astype(np.float32)
+        slow = _exp(age * (-0.5 / self._tau))
+        gone = slow * slow
+        n, a11, a12, a22, b1, b2 = (
+            cell[name] * gone for name in ("n", "a11", "a12", "a22", "b1", "b2"))
+        ridge = floor / _WIDE**2
+        # No event in a whole period: a swing below one threshold.
+        silent = (age > self.half_us) & (cell["sign"] != 0)
+        ridge += silent * (floor / (_SILENT * theta) ** 2)
+        q1, q2, _ = _solved(a11 + ridge, a12, a22 + ridge, b1, b2)
+        left = (cell["yy"] * gone - 2 * (q1 * b1 + q2 * b2) + q1 * q1 * a11
+                + 2 * q1 * q2 * a12 + q2 * q2 * a22)
+        ratio = np.where(n > 1, n / np.maximum(2 * n - 1, 1), 1)
+        variance = (np.maximum(left, 0) + _PRIOR_ROWS * floor) / (
+            np.maximum(n - 2 * ratio, 0) + _PRIOR_ROWS)
+        ridge *= variance / floor
+        a11 += ridge
+        a22 += ridge
+        q1, q2, det = _solved(a11, a12, a22, b1, b2)
+        # What q lacked, on average, when its rows came.
+        d1 = (a22 * cell["s1"] - a12 * cell["s2"]) * gone * det
+        d2 = (a11 * cell["s2"] - a12 * cell["s1"]) * gone * det
+        variance *= ratio * det
+        degree = np.sqrt(q1 * q1 + q2 * q2)
+        some = degree > 0
+        c = np.divide(q1, degree, out=np.ones_like(q1), where=some)
+        s = np.divide(q2, degree, out=np.zeros_like(q2), where=some)
+        both = 2 * a12 * c * s
+        along = np.maximum(variance * (a22 * c * c + a11 * s * s - both),
+                           (self._late * (d1 * c + d2 * s)) ** 2)
+        across = np.maximum(variance * (a22 * s * s + a11 * c * c + both),
+                            (self._late * (d2 * c - d1 * s)) ** 2)
+        known = (n > _LEAST_ROWS) & (along < _UNKNOWN**2)
+        # A common factor of the thresholds multiplies atanh of the degree.
+        square = np.minimum(degree * degree, 1)
+        third, fifth, rest = _ATANH
+        scale = degree * (1 - square) * (
+            1 + square * (third + square * (fifth + square * rest)))
+        sigmas = np.empty((3, *self.shape), np.float32)
+        sigmas[1] = np.sqrt(along + scale * scale * (
+            cell["scale"] ** 2 + self.common_sigma**2))
+        sigmas[2] = np.sqrt(across)
+        sigmas[0] = np.minimum(0.5 * sigmas[2] / np.maximum(degree, 1e-9), _MOST_ANGLE)
+        half = 0.5 * _exp(self._dc + cell["rest"] * slow)
+        quad = half * np.stack([1 + q1, 1 + q2, 1 - q1, 1 - q2])
+        return Polarization(quad, sigmas, known & (sigmas[0] < _UNSURE))
 
-    def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
-        """Return ln S0 at t_us (see `Reconstructor.read`)."""
-        now = self.polarization(t_us)
-        log = np.log(now.quad[0] + now.quad[2])
-        if out is not None:
-            out[:] = log
-            log = out
-        return Estimate(log, None, now.valid)
 
-    def _state(self) -> State:
-        return {"last_us": self._clock.last_us, "cells": self._cells.copy(),
-                "mean": self._mean, "common": self._common,
-                "counts": tuple(self._counts), "start": self._start,
-                "looks": self._looks, "dc": self._dc.copy()}
+def _learned(
+    cells: Records, log_theta: Plane, mean: NDArray[np.float64], spread: float,
+) -> tuple[Plane, NDArray[np.uint8]]:
+    """Estimate thresholds from pixels' lasting sums, and add the change to these.
 
-    def _restore(self, state: State) -> None:
-        self._clock.last_us = state["last_us"]
-        self._cells[:] = state["cells"]
-        self._mean, self._common = state["mean"], state["common"]
-        self._counts, self._start = list(state["counts"]), state["start"]
-        self._looks, self._dc = state["looks"], state["dc"].copy()
+    Parameters
+    ----------
+    cells : ndarray, shape (N,)
+        Pixels with enough rows.
+    log_theta : ndarray of float32, shape (2, N)
+        ln of their thresholds, ON and OFF.
+    mean : ndarray of float64, shape (2,)
+        ln of the mean thresholds.
+    spread : float
+        Error of ln threshold of a single pixel around the mean.
+
+    Returns
+    -------
+    log_theta : ndarray of float32, shape (2, N)
+    told : ndarray of uint8, shape (N,)
+        1 where the light did not change but for the modulation, 2 where that is also
+        strong enough to tell the thresholds' mean, else 0.
+    """
+    n, y, g, h = (np.stack([cells[name + "1"], cells[name + "0"]]) for name in "nygh")
+    m1, m2, zz, l11, l12, l22 = (
+        cells[name] for name in ("m1", "m2", "zz", "l11", "l12", "l22"))
+    u = _exp(log_theta)                                 # steps of ln I
+    u[1] *= -1
+    off_mean = log_theta - mean[:, None].astype(np.float32)
+
+    def left(q1: Plane, q2: Plane) -> Plane:
+        return np.asarray(zz - 2 * (q1 * m1 + q2 * m2) + q1 * q1 * l11
+                          + 2 * q1 * q2 * l12 + q2 * q2 * l22)
+
+    floor = (_ROW_FLOOR * 0.5 * (u[0] - u[1])) ** 2
+    q1, q2, _ = _solved(l11 + floor / _WIDE**2, l12, l22 + floor / _WIDE**2, m1, m2)
+    variance = np.maximum(left(q1, q2) / n.sum(0), floor)
+    # Unknown are q and changes of both ln thresholds; the latter are eliminated.
+    ridge, prior = variance / _WIDE**2, variance / spread**2
+    p = u * u * n + prior
+    k, o = u * u / p, u * (u * y + prior * off_mean) / p
+    q1, q2, _ = _solved(
+        l11 + ridge - (k * g * g).sum(0), l12 - (k * g * h).sum(0),
+        l22 + ridge - (k * h * h).sum(0), m1 - (o * g).sum(0), m2 - (o * h).sum(0))
+    rest = y - q1 * g - q2 * h
+    step = -(u * rest + prior * off_mean) / p
+    step = step.clip(-_LONGEST_STEP, _LONGEST_STEP)
+    error = left(q1, q2) + (u * u * step * step * n + 2 * u * step * rest).sum(0)
+    # Information on both thresholds when q is unknown, inverted for their mean.
+    i11, i22 = l22 + ridge, l11 + ridge
+    det = np.maximum(i11 * i22 - l12 * l12, _LEAST_DET)
+    f1, f0 = p - u * u * (g * g * i11 + h * h * i22 - 2 * g * h * l12) / det
+    both = -u[0] * u[1] * (g[0] * g[1] * i11 + h[0] * h[1] * i22
+                           - (g[0] * h[1] + h[0] * g[1]) * l12) / det
+    det = np.maximum(f1 * f0 - both * both, _LEAST_DET)
+    scale = np.minimum(spread, np.sqrt(np.maximum(
+        0.25 * variance * (f1 + f0 - 2 * both) / det, 0)))
+    still = error <= n.sum(0) * _STILL**2 * u[0] * -u[1]
+    strong = still & (q1 * q1 + q2 * q2 >= _STRONG**2) & (scale < 0.5 * spread)
+    cells["scale"] = np.where(strong, scale, spread)
+    # Weak light tells their ratio only; their mean is that of all.
+    shared = np.where(strong, 0, (0.5 * (step + off_mean)).sum(0))
+    # Light that changed otherwise tells nothing.
+    step = np.where(still, step - shared, -off_mean.clip(-_LONGEST_STEP, _LONGEST_STEP))
+    add = u * step
+    cells["m1"] += (add * g).sum(0)
+    cells["m2"] += (add * h).sum(0)
+    cells["zz"] += (2 * add * y + add * add * n).sum(0)
+    cells["y1"], cells["y0"] = y + add * n
+    return log_theta + step, still.astype(np.uint8) + strong
+
+
+def _solved(
+    a11: Plane, a12: Plane, a22: Plane, b1: Plane, b2: Plane
+) -> tuple[Plane, Plane, Plane]:
+    """Solve for q, at most fully polarized; return also 1 / determinant."""
+    det = np.reciprocal(np.maximum(a11 * a22 - a12 * a12, _LEAST_DET))
+    q1, q2 = (a22 * b1 - a12 * b2) * det, (a11 * b2 - a12 * b1) * det
+    shorter = np.reciprocal(np.sqrt(np.maximum(q1 * q1 + q2 * q2, 1)))
+    return q1 * shorter, q2 * shorter, det
+
+
+def _exp(x: NDArray[np.floating]) -> Plane:
+    """e^x of an image, the same bits on every CPU."""
+    out = np.empty(x.shape, np.float32)
+    _kernels.exp(np.ascontiguousarray(x, np.float32), out)
+    return out
 
 
 def _aligned(shape: tuple[int, int]) -> Records:
