@@ -49,10 +49,6 @@ class Page:
         kind = "log histogram" if logarithmic else "histogram"
         self.figures.append((kind, title, np.ravel(values)))
 
-    def curves(self, title: str, x: list[float], lines: dict[str, list[float]]) -> None:
-        """Add lines over a common axis."""
-        self.figures.append(("curves", title, (x, lines)))
-
 
 def write_report(path: Path, page: Page) -> bool:
     """Draw the page as PNG; print a message and return False without matplotlib."""
@@ -87,12 +83,6 @@ def _draw(axis: Any, kind: str, data: Any) -> None:
         finite = data[np.isfinite(data)]
         low, high = np.percentile(finite, (1, 99)) if finite.size else (0, 1)
         axis.imshow(data, vmin=low, vmax=high, interpolation="nearest")
-    elif kind == "curves":
-        x, lines = data
-        for name, y in lines.items():
-            axis.plot(x, y, marker="o", label=name)
-        axis.legend()
-        axis.grid(alpha=0.3)
     else:
         finite = data[np.isfinite(data)]
         low, high = np.percentile(finite, (0.1, 99.9)) if finite.size else (0, 1)

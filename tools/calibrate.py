@@ -165,53 +165,32 @@ def _clip(
 def _sweep(
     recordings: list[Recording], args: argparse.Namespace, known: Calibration
 ) -> Found:
-    fits: list[tuple[float | None, SweepFit]] = []
     layout = resolve_layout(args.layout, known.layout, recordings[0].info.layout)
-    if args.angles is not None:
-        angles = np.deg2rad(args.angles)
-        if len(angles) != len(recordings):
-            raise UsageError(f"--angles names {len(angles)} angles for "
-                             f"{len(recordings)} files")
-        steps = zip(angles, recordings, strict=True)
-        fits.append((args.wavelength_nm, _fit(steps, known)))
-    else:
-        waves = args.wavelengths or [args.wavelength_nm] * len(recordings)
-        if len(waves) != len(recordings):
-            raise UsageError(f"--wavelengths names {len(waves)} for "
-                             f"{len(recordings)} files")
-        for wave, recording in zip(waves, recordings, strict=True):
-            fits.append((wave, _fit(_steps(recording, args), known)))
+    count = 1 if args.angles is None else len(args.angles)
+    if count != len(recordings):
+        raise UsageError(f"--angles names {len(args.angles or ())} angles for "
+                         f"{len(recordings)} files")
+    fit = _fit(_steps(recordings[0], args) if args.angles is None else
+               zip(np.deg2rad(args.angles), recordings, strict=True), known)
     page = Page("Analyser matrix from a polarizer sweep")
-    for wave, fit in fits:
-        of = "" if wave is None else f" at {wave:g} nm"
-        for angle, place in zip(CHANNELS, layout.places, strict=True):
-            part = np.s_[place // 2::2, place % 2::2]
-            off = np.rad2deg((fit.angle[part] - np.deg2rad(angle) + np.pi / 2) % np.pi
-                             - np.pi / 2)
-            page.say(f"{angle} deg{of}",
-                     f"extinction ratio {np.median(fit.extinction_ratio[part]):.2f} "
-                     f"(error of one {np.median(fit.extinction_ratio_sigma[part]):.2f}"
-                     "), "
-                     f"angle {angle + np.median(off):.2f} +- {np.std(off):.2f} deg "
-                     f"(error of one {np.rad2deg(np.median(fit.angle_sigma)):.3f})")
-        page.say(f"lamp polarization{of}", f"{100 * np.hypot(*fit.source):.2f} %, "
-                 f"beam wander {100 * np.hypot(*fit.wander):.2f} %")
-    fit = fits[0][1]
+    for angle, place in zip(CHANNELS, layout.places, strict=True):
+        part = np.s_[place // 2::2, place % 2::2]
+        off = np.rad2deg((fit.angle[part] - np.deg2rad(angle) + np.pi / 2) % np.pi
+                         - np.pi / 2)
+        page.say(f"{angle} deg",
+                 f"extinction ratio {np.median(fit.extinction_ratio[part]):.2f} "
+                 f"(error of one {np.median(fit.extinction_ratio_sigma[part]):.2f}), "
+                 f"angle {angle + np.median(off):.2f} +- {np.std(off):.2f} deg "
+                 f"(error of one {np.rad2deg(np.median(fit.angle_sigma)):.3f})")
+    page.say("lamp polarization", f"{100 * np.hypot(*fit.source):.2f} %, "
+             f"beam wander {100 * np.hypot(*fit.wander):.2f} %")
     page.say("response of the cell", f"condition number {_condition(fit, layout):.2f} "
              "(ideal 1.41)")
     page.say("residual", f"{np.median(fit.residual):.2f} of the expected noise; "
              f"{np.count_nonzero(~fit.usable)} pixels left out")
     page.image("extinction ratio", fit.extinction_ratio)
     page.image("response to S0", fit.analyser[..., 0])
-    if len(fits) > 1:
-        page.curves("extinction ratio against wavelength (nm)",
-                    [float(wave or 0) for wave, _ in fits],
-                    {f"{angle} deg": [float(np.median(
-                        one.extinction_ratio[place // 2::2, place % 2::2]))
-                        for _, one in fits]
-                     for angle, place in zip(CHANNELS, layout.places, strict=True)})
-    else:
-        page.histogram("extinction ratio", fit.extinction_ratio)
+    page.histogram("extinction ratio", fit.extinction_ratio)
     usable = fit.usable if known.usable is None else fit.usable & known.usable
     return {"analyser": fit.analyser, "usable": usable, "layout": layout}, page
 
@@ -393,8 +372,6 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
     if part in ("sweep", "all"):
         parser.add_argument("--angles", type=_floats, metavar="DEG,DEG,...",
                             help="one angle per file; otherwise one file has all steps")
-        parser.add_argument("--wavelengths", type=_floats, metavar="NM,NM,...",
-                            help="one per file, for a table; the first is stored")
         for name, default, text in (
                 ("start-deg", 0.0, "angle of the first step"),
                 ("step-deg", 5.0, "angle of a step, counter-clockwise as displayed"),

@@ -5,21 +5,15 @@ import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from pdavis_cv._beside import write_beside
 from pdavis_cv.reconstruct.checkpoint import firenet_weights
 from pdavis_cv.reconstruct.weights import Weights
 
-from ._common import Parser, UsageError, add_json_option, command, tell
+from ._common import OneLineParser, Parser, UsageError, add_json_option, command, tell
 
 __all__ = ["main"]
-
-
-class _ActionParser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        """Raise UsageError instead of printing the whole usage."""
-        raise UsageError(f"{message} (see {self.prog} --help)")
 
 
 @command
@@ -28,7 +22,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = Parser("weights", __doc__ or "",
                     "pdavis weights convert firenet_1000.pth.tar -o firenet.npz")
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION",
-                                    parser_class=_ActionParser)
+                                    parser_class=OneLineParser)
     convert = actions.add_parser(
         "convert", help="convert a checkpoint of the published FireNet, without torch "
                         "and without executing its pickle")

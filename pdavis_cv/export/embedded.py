@@ -6,7 +6,7 @@ import json
 import os
 import struct
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -30,6 +30,9 @@ _TAG_NAME = "PDAVIS_PROVENANCE"
 _SEGMENT, _TAGS = b"\x18\x53\x80\x67", b"\x12\x54\xc3\x67"
 _TAG, _TARGETS, _SIMPLE = b"\x73\x73", b"\x63\xc0", b"\x67\xc8"
 _NAME, _STRING = b"\x45\xa3", b"\x44\x87"
+_MARKS = ((_PNG_START, b"iTXt" + _PNG_KEY, 5), (b"RIFF", b"pdvs", 4),
+          (b"\x1aE\xdf\xa3", _TAG_NAME.encode(), 10), (b"", b"uuid" + _UUID, 0))
+"""How a file begins, what precedes the facts in it, and bytes that lie between."""
 _LONGEST = 64  # largest number of elements of an array that is written out
 
 
@@ -163,34 +166,20 @@ def read_embedded(path: str | os.PathLike[str]) -> dict[str, Any] | None:
     dict of str to object, or None
     """
     data = Path(path).read_bytes()
-    if data.startswith(_PNG_START):
-        for kind, body in _png_chunks(data):
-            if kind == b"iTXt" and body.startswith(_PNG_KEY + b"\0"):
-                return _loaded(body[len(_PNG_KEY) + 5:])
-        return None
     if data[:4] == b"GIF8":
         at, text = data.rfind(_GIF_COMMENT) + 2, b""
         while at > 1 and (length := data[at]):
             text += data[at + 1:at + 1 + length]
             at += 1 + length
-        return _loaded(text) if text.startswith(b"{") else None
-    if data[:4] == b"RIFF":
-        at = data.rfind(b"pdvs")
-        return None if at < 0 else _loaded(data[at + 8:])
-    if data[4:8] == b"ftyp":
-        at = data.rfind(b"uuid" + _UUID)
-        return None if at < 0 else _loaded(data[at + 20:])
-    at = data.rfind(_TAG_NAME.encode())
-    if at < 0:
+    else:
+        mark, gap = next((mark, gap) for start, mark, gap in _MARKS
+                         if data.startswith(start))
+        at = data.rfind(mark)
+        text = b"" if at < 0 else data[at + len(mark) + gap:]
+    if not text.startswith(b"{"):
         return None
-    at += len(_TAG_NAME) + len(_STRING)
-    length = int.from_bytes(data[at + 1:at + 8], "big")
-    return _loaded(data[at + 8:at + 8 + length])
-
-
-def _loaded(text: bytes) -> dict[str, Any]:
-    facts: dict[str, Any] = json.loads(text)
-    return facts
+    facts, _ = json.JSONDecoder().raw_decode(text.decode(errors="ignore"))
+    return dict(facts)
 
 
 def embed_png(data: bytes, facts: Facts) -> bytes:
@@ -219,14 +208,6 @@ def embed_png(data: bytes, facts: Facts) -> bytes:
         ">I", zlib.crc32(body))
     header = len(_PNG_START) + 25  # IHDR always has 13 bytes
     return data[:header] + chunk + data[header:]
-
-
-def _png_chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
-    at = len(_PNG_START)
-    while at + 12 <= len(data):
-        (length,) = struct.unpack_from(">I", data, at)
-        yield data[at + 4:at + 8], data[at + 8:at + 8 + length]
-        at += 12 + length
 
 
 def _element(kind: bytes, body: bytes) -> bytes:

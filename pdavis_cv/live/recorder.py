@@ -6,20 +6,14 @@ import shutil
 import tempfile
 import threading
 from collections import deque
+from itertools import islice
 from pathlib import Path
 
 from pdavis_cv.errors import DeviceError
-from pdavis_cv.live.inbox import size_of, together
+from pdavis_cv.live.inbox import fitting, size_of, together
 from pdavis_cv.recording.aedat4.reader import Aedat4Recording
 from pdavis_cv.recording.aedat4.writer import UNKNOWN, Aedat4Writer, full_scale_of
-from pdavis_cv.recording.base import (
-    MAX_PACKET_EVENTS,
-    MAX_PACKET_US,
-    Packet,
-    Recording,
-    RecordingInfo,
-    Source,
-)
+from pdavis_cv.recording.base import Packet, Recording, RecordingInfo, Source
 from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.options import SourceOptions
 
@@ -124,29 +118,17 @@ class Recorder:
 
     def _next(self) -> Packet | None:
         """Return the waiting packets of up to 10 ms as one; None at the end."""
-        parts: list[Packet] = []
         with self._change:
-            while not self._waiting:
-                if self._ended:
-                    return None
-                self._change.wait()
-            first = self._waiting[0].start_us
-            assert first is not None
-            count = 0
             while True:
-                packet = self._waiting.popleft()
-                self._bytes -= size_of(packet)
-                parts.append(packet)
-                count += len(packet.events)
-                while not self._waiting and not self._ended:
-                    self._change.wait()
-                if not self._waiting:
+                n = fitting(self._waiting[0], islice(self._waiting, 1, None)) if (
+                    self._waiting) else -1
+                if 0 <= n < len(self._waiting) - 1 or self._ended:
                     break
-                after = self._waiting[0]
-                assert after.stop_us is not None
-                if (after.stop_us - first > MAX_PACKET_US
-                        or count + len(after.events) > MAX_PACKET_EVENTS):
-                    break
+                self._change.wait()
+            if n < 0:
+                return None
+            parts = [self._waiting.popleft() for _ in range(n + 1)]
+            self._bytes -= sum(map(size_of, parts))
             self._change.notify_all()
         return together(parts)
 
