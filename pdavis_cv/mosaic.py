@@ -15,8 +15,7 @@ __all__ = ["DEMOSAIC_METHODS", "HALF_SIZE", "demosaic", "demosaic_valid",
            "demosaic_variance"]
 
 DEMOSAIC_METHODS = ("bilinear", "superpixel", "binned", "guided")
-"""Values of the ``demosaic`` arguments; `CAP_PROP_PDAVIS_DEMOSAIC` counts them, so that
-new ones are appended."""
+"""Values of the ``demosaic`` arguments."""
 
 HALF_SIZE = frozenset(("superpixel", "binned"))
 """Methods whose images have one pixel per 2x2 cell."""

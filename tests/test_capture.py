@@ -15,7 +15,6 @@ import pdavis_cv as p
 from pdavis_cv import CaptureStatus, Layout, VideoCapture, fuse
 from pdavis_cv.capture.outputs import outputs
 from pdavis_cv.capture.picture import tone
-from pdavis_cv.capture.source import layout_code, layout_of_code
 
 POS_FRAMES, WIDTH, HEIGHT, FPS, COUNT, FORMAT, CONVERT_RGB = 1, 3, 4, 5, 7, 8, 16
 UNKNOWN = 0.0 if cv2.__version__.startswith("4") else -1.0
@@ -221,11 +220,8 @@ def test_properties_describe_the_recording(ideal, cap):
     expected = {
         WIDTH: 18, HEIGHT: 14, FPS: 100, COUNT: len(list(fuse(ideal, fps=100))),
         p.CAP_PROP_PDAVIS_FPS: 100, p.CAP_PROP_PDAVIS_CAPTURE_FPS: 20,
-        p.CAP_PROP_PDAVIS_EXPOSURE_US: 20_000, p.CAP_PROP_PDAVIS_LAYOUT: 3201,
-        p.CAP_PROP_PDAVIS_DEMOSAIC: 0, p.CAP_PROP_PDAVIS_START_US: 10_000,
-        p.CAP_PROP_PDAVIS_METHOD: list(p.METHODS).index(p.DEFAULT_METHOD),
-        p.CAP_PROP_PDAVIS_CAUSAL: 0, p.CAP_PROP_PDAVIS_GAIN: 1,
-        p.CAP_PROP_PDAVIS_GAMMA: 1, p.CAP_PROP_PDAVIS_LOG: 0,
+        p.CAP_PROP_PDAVIS_EXPOSURE_US: 20_000, p.CAP_PROP_PDAVIS_START_US: 10_000,
+        p.CAP_PROP_PDAVIS_GAIN: 1, p.CAP_PROP_PDAVIS_GAMMA: 1, p.CAP_PROP_PDAVIS_LOG: 0,
         p.CAP_PROP_PDAVIS_OUTPUT: 0, p.CAP_PROP_PDAVIS_POS_US: UNKNOWN,
         42: p.CAP_PDAVIS}
     assert {prop: cap.get(prop) for prop in expected} == expected
@@ -235,12 +231,6 @@ def test_properties_describe_the_recording(ideal, cap):
 
 
 @pytest.mark.parametrize(("prop", "value", "keywords"), [
-    (p.CAP_PROP_PDAVIS_METHOD, list(p.METHODS).index("frames"), {"method": "frames"}),
-    (p.CAP_PROP_PDAVIS_CUTOFF_HZ, 5.0, {"cutoff_hz": 5.0}),
-    (p.CAP_PROP_PDAVIS_DEMOSAIC, 1, {"demosaic": "superpixel"}),
-    (p.CAP_PROP_PDAVIS_DEMOSAIC, 2, {"demosaic": "binned"}),
-    (p.CAP_PROP_PDAVIS_DEMOSAIC, 3, {"demosaic": "guided"}),
-    (p.CAP_PROP_PDAVIS_CAUSAL, 1, {"causal": True}),
     (p.CAP_PROP_PDAVIS_GAIN, 3, {"gain": 3.0}),
     (p.CAP_PROP_PDAVIS_GAMMA, 2.2, {"gamma": 2.2}),
     (p.CAP_PROP_PDAVIS_LOG, 1, {"log": True}),
@@ -275,12 +265,10 @@ def test_a_change_of_the_rate_keeps_the_time(ideal):
 
 
 @pytest.mark.parametrize(("prop", "value"), [
-    (p.CAP_PROP_PDAVIS_METHOD, 99), (p.CAP_PROP_PDAVIS_METHOD, 0.5),
-    (p.CAP_PROP_PDAVIS_DEMOSAIC, 4), (p.CAP_PROP_PDAVIS_FPS, 0),
+    (p.CAP_PROP_PDAVIS_FPS, 0),
     (p.CAP_PROP_PDAVIS_FPS, -3), (p.CAP_PROP_PDAVIS_FPS, math.nan),
     (p.CAP_PROP_PDAVIS_GAIN, 0), (p.CAP_PROP_PDAVIS_OUTPUT, 999),
-    (p.CAP_PROP_PDAVIS_OUTPUT, -1), (p.CAP_PROP_PDAVIS_LAYOUT, 3202),
-    (p.CAP_PROP_PDAVIS_LAYOUT, 2130), (p.CAP_PROP_PDAVIS_LAYOUT, math.inf),
+    (p.CAP_PROP_PDAVIS_OUTPUT, -1), (p.CAP_PROP_PDAVIS_OUTPUT, math.inf),
     (p.CAP_PROP_PDAVIS_START_US, 0), (p.CAP_PROP_PDAVIS_WHITE, 1)])
 def test_a_value_that_cannot_be_is_refused_and_changes_nothing(cap, prop, value):
     cap.grab()
@@ -289,14 +277,6 @@ def test_a_value_that_cannot_be_is_refused_and_changes_nothing(cap, prop, value)
     assert cap.last_error
     assert cap.get(prop) == before
     assert cap.read()[0]
-
-
-def test_layouts_have_a_number():
-    for layout in (Layout.PDAVIS, Layout.SONY, Layout.SONY.rot90(), Layout((0, 45), (
-            135, 90))):
-        assert layout_of_code(layout_code(layout)) == layout
-    for code in (0, 1234, 3200, -3201, 3201.5, 33201, math.nan, math.inf):
-        assert layout_of_code(code) is None
 
 
 def test_a_long_property_number_is_unknown(cap):

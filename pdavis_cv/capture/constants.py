@@ -24,20 +24,15 @@ CAP_PDAVIS_EVENTS_BGR = 15
 
 # Properties; "set" means that set() and the params of open() accept it.
 CAP_PROP_PDAVIS_OUTPUT = 94000       # set: output of read()
-CAP_PROP_PDAVIS_METHOD = 94001       # set: position in METHODS
-CAP_PROP_PDAVIS_CUTOFF_HZ = 94002    # set: high-pass corner of cf and events
-CAP_PROP_PDAVIS_FPS = 94003          # set: images per second of recording time
-CAP_PROP_PDAVIS_CAPTURE_FPS = 94004  # frames per second of the camera
-CAP_PROP_PDAVIS_EXPOSURE_US = 94005  # of the first frame
-CAP_PROP_PDAVIS_LAYOUT = 94006       # set: cell as digits angle/45, 3201 = PDAVIS
-CAP_PROP_PDAVIS_DEMOSAIC = 94007     # set: position in DEMOSAIC_METHODS
-CAP_PROP_PDAVIS_START_US = 94008     # time of the first image
-CAP_PROP_PDAVIS_POS_US = 94009       # time of the last grabbed image
-CAP_PROP_PDAVIS_CAUSAL = 94010       # set: 1 = causal, see FusionOptions
-CAP_PROP_PDAVIS_GAIN = 94011         # set: brightness of the grey picture
-CAP_PROP_PDAVIS_GAMMA = 94012        # set: grey = 255 * x ** (1 / gamma)
-CAP_PROP_PDAVIS_LOG = 94013          # set: 1 = logarithmic grey
-CAP_PROP_PDAVIS_WHITE = 94014        # S0 / 2 that is white at gain 1
+CAP_PROP_PDAVIS_FPS = 94001          # set: images per second of recording time
+CAP_PROP_PDAVIS_CAPTURE_FPS = 94002  # frames per second of the camera
+CAP_PROP_PDAVIS_EXPOSURE_US = 94003  # of the first frame
+CAP_PROP_PDAVIS_START_US = 94004     # time of the first image
+CAP_PROP_PDAVIS_POS_US = 94005       # time of the last grabbed image
+CAP_PROP_PDAVIS_GAIN = 94006         # set: brightness of the grey picture
+CAP_PROP_PDAVIS_GAMMA = 94007        # set: grey = 255 * x ** (1 / gamma)
+CAP_PROP_PDAVIS_LOG = 94008          # set: 1 = logarithmic grey
+CAP_PROP_PDAVIS_WHITE = 94009        # S0 / 2 that is white at gain 1
 
 # OpenCV's own constants, equal in all versions: timeouts of a live source, ms.
 CAP_PROP_OPEN_TIMEOUT_MSEC = 53

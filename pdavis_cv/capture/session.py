@@ -4,7 +4,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,20 +13,14 @@ from pdavis_cv.capture import constants as c, picture
 from pdavis_cv.capture.manners import type_code
 from pdavis_cv.capture.outputs import output_at
 from pdavis_cv.capture.seeking import Cursor
-from pdavis_cv.capture.source import (
-    NAME_OF_PROPERTY,
-    decoded_value,
-    layout_code,
-    opened,
-)
+from pdavis_cv.capture.source import NAME_OF_PROPERTY, decoded_value, opened
 from pdavis_cv.capture.stream import LiveCursor
 from pdavis_cv.errors import PdavisError
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.fusion.options import fusion_part
 from pdavis_cv.live import Session as LiveSession
-from pdavis_cv.mosaic import DEMOSAIC_METHODS, HALF_SIZE
+from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.base import ApsFrame, Recording, Source
 from pdavis_cv.render import ToneCurve
 
@@ -232,8 +225,7 @@ class Session:
             self.view = replace(self.view, convert=bool(value))
             return True
         name = NAME_OF_PROPERTY.get(prop)
-        if name is None or (
-                name == "cutoff_hz" and _GETTERS[prop](self) is None):
+        if name is None:
             return False
         decoded = decoded_value(name, value)
         if decoded is None:
@@ -244,7 +236,7 @@ class Session:
             if isinstance(self.cursor, LiveCursor):
                 self.cursor.timeout_s = view.read_timeout_ms / 1000
         else:
-            self._change(name, decoded)
+            self._change_fps(decoded)
         return True
 
     def _wanted(self, prop: int, value: float) -> float:
@@ -264,22 +256,16 @@ class Session:
             return self.cursor.start_us
         return self.cursor.fusion.start_us
 
-    def _change(self, name: str, value: Any) -> None:
-        """Change a parameter of `fuse` and keep the position."""
+    def _change_fps(self, fps: float) -> None:
+        """Change the rate of the images and keep the time."""
         if isinstance(self.cursor, LiveCursor):
-            self.cursor.session.change(**{name: value})
+            self.cursor.session.change(fps=fps)
             return
-        parameters = {**self.parameters, name: value}
-        if name == "method":  # the new method does not know the old one's parameters
-            parameters = {key: kept for key, kept in parameters.items()
-                          if key not in self.cursor.fusion.provenance["parameters"]}
+        parameters = {**self.parameters, "fps": fps}
         old, new = self.cursor, Cursor(self._fusion(parameters))
-        index = old.index
-        if name == "fps" and old.t_us is not None:
-            index = new.index_at(old.t_us) + 1
+        index = old.index if old.t_us is None else new.index_at(old.t_us) + 1
         grabbed = self.grabbed
         self.cursor, self.parameters = new, parameters
-        self._tone = self._made_tone(self.view)
         self.seek(index)
         self.grabbed = self.grabbed and grabbed
 
@@ -313,13 +299,6 @@ class Session:
         return self.cursor.index / max(self.cursor.count, 1)
 
 
-def _of_parameters(name: str) -> Callable[[Session], float | None]:
-    def get(session: Session) -> float | None:
-        value = session.cursor.fusion.provenance["parameters"].get(name)
-        return None if value is None else float(value)
-    return get
-
-
 def _time(value: int | None) -> float | None:
     return None if value is None else float(value)
 
@@ -338,18 +317,11 @@ _GETTERS: dict[int, Callable[[Session], float | None]] = {
     c.CAP_PROP_OPEN_TIMEOUT_MSEC: lambda s: s.view.open_timeout_ms,
     c.CAP_PROP_READ_TIMEOUT_MSEC: lambda s: s.view.read_timeout_ms,
     c.CAP_PROP_PDAVIS_OUTPUT: lambda s: float(s.view.output),
-    c.CAP_PROP_PDAVIS_METHOD: lambda s: float(
-        tuple(METHODS).index(s.cursor.fusion.method)),
-    c.CAP_PROP_PDAVIS_CUTOFF_HZ: _of_parameters("cutoff_hz"),
     c.CAP_PROP_PDAVIS_FPS: lambda s: s.cursor.fps,
     c.CAP_PROP_PDAVIS_CAPTURE_FPS: Session._rate_of_frames,
     c.CAP_PROP_PDAVIS_EXPOSURE_US: Session._exposure_us,
-    c.CAP_PROP_PDAVIS_LAYOUT: lambda s: float(layout_code(s.cursor.fusion.layout)),
-    c.CAP_PROP_PDAVIS_DEMOSAIC: lambda s: float(
-        DEMOSAIC_METHODS.index(s.cursor.fusion.provenance["demosaic"])),
     c.CAP_PROP_PDAVIS_START_US: lambda s: _time(s._start_us()),
     c.CAP_PROP_PDAVIS_POS_US: lambda s: _time(s.cursor.t_us),
-    c.CAP_PROP_PDAVIS_CAUSAL: lambda s: float(s.cursor.fusion.provenance["causal"]),
     c.CAP_PROP_PDAVIS_GAIN: lambda s: s.view.gain,
     c.CAP_PROP_PDAVIS_GAMMA: lambda s: s.view.gamma,
     c.CAP_PROP_PDAVIS_LOG: lambda s: float(s.view.log),

@@ -11,19 +11,15 @@ from pdavis_cv.capture.outputs import output_at
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.live import is_address, open_source
 from pdavis_cv.live.camera import address_of
-from pdavis_cv.mosaic import DEMOSAIC_METHODS
 from pdavis_cv.reconstruct.methods import METHODS, method_parameters
 from pdavis_cv.recording.base import Source
 from pdavis_cv.recording.options import SourceOptions, source_part
 from pdavis_cv.recording.registry import is_recording
 from pdavis_cv.registry import instead
-from pdavis_cv.sensor import Layout
 
 __all__ = [
     "checked_parameters",
     "is_ours",
-    "layout_code",
-    "layout_of_code",
     "opened",
     "parameters_of",
 ]
@@ -122,12 +118,7 @@ def parameters_of(params: Sequence[float]) -> dict[str, Any] | None:
 
 NAME_OF_PROPERTY = {
     c.CAP_PROP_PDAVIS_OUTPUT: "output",
-    c.CAP_PROP_PDAVIS_METHOD: "method",
-    c.CAP_PROP_PDAVIS_CUTOFF_HZ: "cutoff_hz",
     c.CAP_PROP_PDAVIS_FPS: "fps",
-    c.CAP_PROP_PDAVIS_LAYOUT: "layout",
-    c.CAP_PROP_PDAVIS_DEMOSAIC: "demosaic",
-    c.CAP_PROP_PDAVIS_CAUSAL: "causal",
     c.CAP_PROP_PDAVIS_GAIN: "gain",
     c.CAP_PROP_PDAVIS_GAMMA: "gamma",
     c.CAP_PROP_PDAVIS_LOG: "log",
@@ -141,40 +132,11 @@ def decoded_value(name: str, value: float) -> Any:
     """Return the keyword argument for a property's value, None if it is invalid."""
     if value != value:
         return None
-    if name in ("causal", "log"):
+    if name == "log":
         return bool(value)
-    if name in ("cutoff_hz", "fps", "gain", "gamma", "open_timeout_ms",
-                "read_timeout_ms"):
+    if name != "output":
         return float(value) if value > 0 else None
-    if name == "output":
-        try:
-            return int(value) if value == int(value) and output_at(int(value)) else None
-        except (LookupError, OverflowError):    # also infinity
-            return None
-    if name == "layout":
-        return layout_of_code(value)
-    choices = tuple(METHODS) if name == "method" else DEMOSAIC_METHODS
-    known = 0 <= value < len(choices) and value == int(value)
-    return choices[int(value)] if known else None
-
-
-def layout_code(layout: Layout) -> int:
-    """Return a layout as a number whose digits are angle / 45, in reading order.
-
-    >>> from pdavis_cv import Layout
-    >>> layout_code(Layout.PDAVIS), layout_code(Layout.SONY)
-    (3201, 2130)
-    """
-    a, b, c, d = (angle // 45 for row in layout.angles_deg for angle in row)
-    return 1000 * a + 100 * b + 10 * c + d
-
-
-def layout_of_code(code: float) -> Layout | None:
-    """Return the layout with this `layout_code`, None if there is none."""
-    digits = [45 * int(digit) for digit in f"{code:04.0f}"[-4:] if digit.isdigit()]
     try:
-        (a, b, c, d) = digits
-        layout = Layout((a, b), (c, d))
-    except ValueError:  # LayoutError is one
+        return int(value) if value == int(value) and output_at(int(value)) else None
+    except (LookupError, OverflowError):    # also infinity
         return None
-    return layout if layout_code(layout) == code else None

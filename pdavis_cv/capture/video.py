@@ -406,8 +406,7 @@ class VideoCapture(Advises):
         """Change a property or the position; return False if it cannot be changed.
 
         Setting a position seeks exactly: the state is the same as after reading all
-        images up to there.  A change of the rate keeps the time; a change of any other
-        parameter of `fuse` keeps the number of the next image.
+        images up to there.  A change of the rate keeps the time.
         """
         with self._lock:
             if not _is_integer(propId):
