@@ -192,8 +192,6 @@ def table():
     mosaic = np.random.default_rng(2).integers(0, 200, SIZE).astype(np.uint8)
     plane = np.random.default_rng(3).uniform(1, 2, SIZE).astype(np.float32)
     quad = np.stack([plane] * 4)
-    t = np.arange(0, 4_000_000, 10_000)
-    trace = np.sin(2e-6 * np.pi * t) + 0.1 * np.cos(t)
     both = {"shape": SIZE, "theta_on": 0.2, "theta_off": 0.2}
     recording = pdavis_cv.recording_from_arrays(
         events, [some_frame(20_000), frame], sensor_size=SIZE, layout=LAYOUT)
@@ -253,9 +251,6 @@ def table():
         ("fuse kalman", fused, {
             "method": "kalman", "mode": "offline", "lookahead_us": 100_000,
             "thresholds": (0.2, 0.2)}),
-        ("dominant_tone", a.dominant_tone, {
-            "t_us": t, "values": trace, "lowest_hz": 0.5, "highest_hz": 20.0,
-            "harmonics": 3}),
         ("axial_difference", a.axial_difference, {"a": plane, "b": plane}),
         ("retardance", a.retardance, {"dolp": plane / 4}),
         ("aop_bgr", render.aop_bgr, {"aop": plane, "valid": plane > 1}),

@@ -57,7 +57,7 @@ class Chip:
 
 
 class Light:
-    """Truth for a `Scorer`."""
+    """Truth as `truth_errors.errors_of` takes it."""
 
     def __init__(self, rpm, dolp):
         self.rpm, self.degree = rpm, dolp

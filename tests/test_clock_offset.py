@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from truth_errors import errors_of
 
 import pdavis_cv
 from pdavis_cv import Calibration, FusionOptions, fuse, open_recording
-from pdavis_cv.analysis import Scorer
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.fusion.learning import learned_pixels
 from pdavis_cv.pixel.model import PixelModel
@@ -68,13 +68,11 @@ def aop_error(recording, truth, **options):
 
 def scored(recording, truth, start_us, **options):
     """Return the AoP error from start_us on, and the offset that was applied last."""
-    scorer = Scorer(truth, (5, 5))
-    images = fuse(recording, method="kalman", fps=200, demosaic="superpixel",
-                  start_us=start_us, nominal_thresholds=NOMINAL, **options)
-    for image in images:
-        scorer.add(image)
-        last = image
-    return np.rad2deg(scorer.score.aop_error), last.provenance["clock_offset_us"]
+    images = list(fuse(
+        recording, method="kalman", fps=200, demosaic="superpixel", start_us=start_us,
+        nominal_thresholds=NOMINAL, **options))
+    return (np.rad2deg(errors_of(images, truth).aop),
+            images[-1].provenance["clock_offset_us"])
 
 
 @pytest.mark.gate

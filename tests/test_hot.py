@@ -2,9 +2,9 @@
 import numpy as np
 import pytest
 from streams import feed
+from truth_errors import errors_of
 
 from pdavis_cv import EVENT_DTYPE, ApsFrame, KalmanFilter, fuse
-from pdavis_cv.analysis import Scorer
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 
 SHAPE = (2, 2)
@@ -67,11 +67,10 @@ def test_images_of_a_sensor_with_hot_pixels_have_polarization():
     recording, truth = Camera.preset("nominal", seed=2, size=(12, 12), dvs={
         "hot_fraction": 0.05, "hot_hz": 1000.0}).record(
         RotatingPolarizer(rpm=202.6, start_angle=0.7), 1.5)
-    scorer = Scorer(truth, (6, 6))
-    for image in fuse(recording, method="kalman", causal=True, demosaic="superpixel",
-                      times_us=range(1_000_000, 1_450_000, 9_000),
-                      nominal_thresholds=(0.16, 0.18)):
-        scorer.add(image)
-    assert np.degrees(scorer.score.aop_error) < 4
-    assert scorer.score.dolp_error < 0.1    # where S0 vanishes it is beyond 1
-    assert scorer.score.valid > 0.98
+    error = errors_of(fuse(
+        recording, method="kalman", causal=True, demosaic="superpixel",
+        times_us=range(1_000_000, 1_450_000, 9_000), nominal_thresholds=(0.16, 0.18)),
+        truth)
+    assert np.degrees(error.aop) < 4
+    assert error.dolp < 0.1     # where S0 vanishes it is beyond 1
+    assert error.valid > 0.98

@@ -1,9 +1,9 @@
 """The camera as a recording shows it, and thresholds in situ for other methods."""
 import numpy as np
 import pytest
+from truth_errors import errors_of
 
 from pdavis_cv import Calibration, fuse, recording_from_arrays
-from pdavis_cv.analysis import Scorer
 from pdavis_cv.fusion.learning import learned_camera
 from pdavis_cv.simulation import Camera, RotatingPlate, RotatingPolarizer
 
@@ -96,12 +96,10 @@ def test_cf_takes_the_thresholds_of_each_pixel(nominal):
     camera, recording, truth = nominal
 
     def score(**options):
-        scorer = Scorer(truth, (4, 4))
-        for image in fuse(recording, method="cf", demosaic="superpixel", cutoff_hz=0.2,
-                          times_us=np.arange(1_000_000, 2_400_000, 7_000),
-                          nominal_thresholds=(0.1, 0.1), **options):
-            scorer.add(image)
-        return scorer.score.aop_error
+        return errors_of(fuse(
+            recording, method="cf", demosaic="superpixel", cutoff_hz=0.2,
+            times_us=np.arange(1_000_000, 2_400_000, 7_000),
+            nominal_thresholds=(0.1, 0.1), **options), truth).aop
 
     known = score(thresholds=(camera.maps["theta_on"], camera.maps["theta_off"]))
     assert score(thresholds="in-situ") < 1.3 * known

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from ideal import rotating_polarizer
 from streams import feed, random_events
+from truth_errors import errors_of
 
 from pdavis_cv import EVENT_DTYPE, ApsFrame, Calibration, KalmanFilter, fuse
-from pdavis_cv.analysis import Scorer
 from pdavis_cv.pixel.learn import Priors, prior_model
 from pdavis_cv.simulation import Camera, FlatLight, RotatingPolarizer
 
@@ -65,11 +65,9 @@ def recorded():
 
 
 def scored(recording, truth, **options):
-    scorer = Scorer(truth, (6, 6))
-    for image in fuse(recording, times_us=np.arange(1_000_000, 1_900_000, 5003),
-                      method="kalman", demosaic="superpixel", **options):
-        scorer.add(image)
-    return scorer.score
+    return errors_of(fuse(
+        recording, times_us=np.arange(1_000_000, 1_900_000, 5003), method="kalman",
+        demosaic="superpixel", **options), truth)
 
 
 @pytest.mark.gate
@@ -81,7 +79,7 @@ def test_one_sigma_covers_about_two_thirds_of_the_errors(recorded, camera, optio
     assert 0.55 < score.aop_coverage < 0.85
     # A degree that lasts is better known than the channels, whose sigmas are given.
     assert 0.55 < score.dolp_coverage < 0.95
-    assert score.aop_error < np.deg2rad(1.1)
+    assert score.aop < np.deg2rad(1.1)
 
 
 @pytest.mark.parametrize(("mode", "aop_deg", "dolp"), [
@@ -91,8 +89,8 @@ def test_a_complete_calibration_takes_the_pixels_differences_out(
     camera = Camera.preset("nominal", seed=5, size=(12, 12))
     calibration = Calibration(**camera.exact_calibration(), bandwidth_hz=250.0)
     score = scored(*recorded["nominal"], mode=mode, calibration=calibration)
-    assert score.aop_error < np.deg2rad(aop_deg)
-    assert score.dolp_error < dolp
+    assert score.aop < np.deg2rad(aop_deg)
+    assert score.dolp < dolp
     # Sigmas are those of learned noise, which is cautious where the light is simple.
     assert 0.55 < score.aop_coverage < 0.97
     assert 0.5 < score.dolp_coverage < 0.95
@@ -102,7 +100,7 @@ def test_frames_after_a_time_make_offline_images_better(recorded):
     camera = Camera.preset("nominal", seed=5, size=(12, 12))
     calibration = Calibration(**camera.exact_calibration(), bandwidth_hz=250.0)
     buffered, offline = (scored(*recorded["nominal"], mode=mode,
-                                calibration=calibration).aop_error
+                                calibration=calibration).aop
                          for mode in ("buffered", "offline"))
     assert offline < 0.85 * buffered
 
@@ -208,11 +206,9 @@ def test_light_at_rest_is_as_good_as_frames():
 
     def error(**options):
         times = range(1_000_000, 1_900_000, 9_000)
-        scorer = Scorer(truth, (6, 6))
-        for image in fuse(recording, times_us=times, demosaic="superpixel",
-                          nominal_thresholds=(0.16, 0.18), **options):
-            scorer.add(image)
-        return np.array([scorer.score.aop_error, scorer.score.dolp_error])
+        return np.array(errors_of(fuse(
+            recording, times_us=times, demosaic="superpixel",
+            nominal_thresholds=(0.16, 0.18), **options), truth)[:2])
 
     frames = error(method="frames")
     assert np.all(error(method="kalman") < 1.2 * frames)

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from reference_lamp import RATES, fitted, triples
 from streams import random_events
+from truth_errors import errors_of
 
 from pdavis_cv import EVENT_DTYPE, _kernels, fuse
-from pdavis_cv.analysis import Scorer
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.reconstruct.lamp import BLOCK_US, Lamplight, LampTracker, Wave
@@ -168,11 +168,10 @@ def test_lamplight_forgets_and_begins_anew():
 
 
 def error(recording, truth, **options):
-    scorer = Scorer(truth, (6, 6))
-    for image in fuse(recording, times_us=np.arange(800_000, 1_500_000, 3037),
-                      demosaic="superpixel", nominal_thresholds=NOMINAL, **options):
-        scorer.add(image)
-    return np.array([np.degrees(scorer.score.aop_error), scorer.score.dolp_error])
+    found = errors_of(fuse(
+        recording, times_us=np.arange(800_000, 1_500_000, 3037), demosaic="superpixel",
+        nominal_thresholds=NOMINAL, **options), truth)
+    return np.array([np.degrees(found.aop), found.dolp])
 
 
 @pytest.mark.gate

@@ -2,11 +2,11 @@
 import numpy as np
 import pytest
 from reference_degree import Reference, cells
+from truth_errors import errors_of
 
 from pdavis_cv import _kernels, fuse
 from pdavis_cv._workers import Workers
 from pdavis_cv.analyser import Analyser
-from pdavis_cv.analysis.score import Scorer
 from pdavis_cv.reconstruct.kalman import lasting_degree
 from pdavis_cv.reconstruct.kalman.lasting_degree import LastingDegree
 from pdavis_cv.simulation import Camera, RotatingPolarizer
@@ -257,12 +257,10 @@ def test_a_polarizer_before_a_camera_that_loses_events_has_the_degree_of_frames(
     recording, truth = camera.record(RotatingPolarizer(rpm=30.4, start_angle=0.5), 1.4)
 
     def error():
-        scorer = Scorer(truth, (6, 6))
-        for image in fuse(recording, method="kalman", causal=True, fps=97,
-                          demosaic="superpixel", nominal_thresholds=(0.16, 0.18)):
-            if image.t_us > 1_000_000:
-                scorer.add(image)
-        return scorer.score.dolp_error
+        images = fuse(recording, method="kalman", causal=True, fps=97,
+                      demosaic="superpixel", nominal_thresholds=(0.16, 0.18))
+        return errors_of(
+            (image for image in images if image.t_us > 1_000_000), truth).dolp
 
     weighed = error()
     monkeypatch.setattr(LastingDegree, "weigh", lambda *_: None)

@@ -5,6 +5,7 @@ import weakref
 
 import numpy as np
 import pytest
+from truth_errors import errors_of
 
 from pdavis_cv import (
     Calibration,
@@ -12,7 +13,6 @@ from pdavis_cv import (
     fuse,
     recording_from_arrays,
 )
-from pdavis_cv.analysis import Scorer
 from pdavis_cv.fusion import Fusion, learning
 from pdavis_cv.fusion.learning import Learned, Learning
 from pdavis_cv.fusion.online_learning import FIRST_LOOK_S, OnlineLearning
@@ -107,12 +107,9 @@ def test_the_state_goes_on_with_what_is_learned(realistic):
     assert np.degrees(long_after.mean()) < 1.0
 
     def error(**given):
-        scorer = Scorer(truth, (4, 4))
         # What the fourth look tells holds an eighth after 1 s.
-        for image in fuse(recording, times_us=np.arange(
-                1_150_000, 1_700_000, 7_019), **options, **given):
-            scorer.add(image)
-        return scorer.score.aop_error
+        return errors_of(fuse(recording, times_us=np.arange(
+            1_150_000, 1_700_000, 7_019), **options, **given), truth).aop
 
     assert error() < 1.6 * error(model=learned)
     assert error() < error(model=images[0].provenance["parameters"]["model"])

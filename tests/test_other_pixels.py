@@ -13,9 +13,9 @@ from other_pixels import (
     recording,
     v2e_events,
 )
+from truth_errors import errors_of
 
 from pdavis_cv import fuse
-from pdavis_cv.analysis import Scorer
 
 PIXELS = {"v2e": v2e_events, "EventCV": eventcv_events, "circuit": circuit_events}
 DOLP = 0.8
@@ -34,14 +34,11 @@ METHODS = {
 
 def errors(made, rpm, *, step_us=1013, **parameters):
     """AoP in degrees, DoLP, and the part of both within one sigma; super-pixels."""
-    scorer = Scorer(Light(rpm, DOLP), (6, 6))
     times = np.arange(1_000_000, made.info.stop_us - 100_000, step_us)
-    for image in fuse(made, times_us=times, demosaic="superpixel",
-                      nominal_thresholds=(0.2, 0.2), extinction_ratio=40, **parameters):
-        scorer.add(image)
-    score = scorer.score
-    return (np.degrees(score.aop_error), score.dolp_error, score.aop_coverage,
-            score.dolp_coverage)
+    found = errors_of(fuse(
+        made, times_us=times, demosaic="superpixel", nominal_thresholds=(0.2, 0.2),
+        extinction_ratio=40, **parameters), Light(rpm, DOLP))
+    return (np.degrees(found.aop), found.dolp, found.aop_coverage, found.dolp_coverage)
 
 
 @pytest.mark.gate

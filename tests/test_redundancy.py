@@ -11,6 +11,7 @@ from reference_redundancy import (
     saturated_fill,
 )
 from streams import random_events
+from truth_errors import errors_of
 
 from pdavis_cv import (
     EVENT_DTYPE,
@@ -22,7 +23,6 @@ from pdavis_cv import (
     fuse,
     recording_from_arrays,
 )
-from pdavis_cv.analysis import Scorer
 from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.reconstruct.lamp import WAVE_DTYPE
 from pdavis_cv.reconstruct.redundancy import (
@@ -393,12 +393,10 @@ def test_dim_light_is_told_by_frames_and_redundancy_together():
         RotatingPolarizer(rpm=61, start_angle=0.3, s0=1.08), 2.0)
 
     def errors(**options):
-        scorer = Scorer(truth, (6, 6))
-        for image in fuse(recording, times_us=range(1_000_000, 1_900_000, 9_000),
-                          demosaic="superpixel", nominal_thresholds=(0.16, 0.18),
-                          **options):
-            scorer.add(image)
-        return np.array([scorer.score.aop_error, scorer.score.dolp_error])
+        return np.array(errors_of(fuse(
+            recording, times_us=range(1_000_000, 1_900_000, 9_000),
+            demosaic="superpixel", nominal_thresholds=(0.16, 0.18), **options),
+            truth)[:2])
 
     assert np.all(errors(method="kalman") < errors(
         method="events", offsets="redundancy"))

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lab.paper.run import TAIL_US
+from lab.scoring import Scorer
 from pdavis_cv import Recording, fuse, open_recording
-from pdavis_cv.analysis import CLASSES, LeftOutFrames, Scorer, observed, pooled
+from pdavis_cv.analysis import CLASSES, LeftOutFrames, observed, pooled
 from pdavis_cv.batch import both_halves, predicted
 from pdavis_cv.errors import PdavisWarning
 from pdavis_cv.reconstruct.base import Estimate

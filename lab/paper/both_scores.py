@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore, Scorer
+from lab.scoring import Scorer
+from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore
 from pdavis_cv.batch.works import predicted_images
 from pdavis_cv.simulation import Camera, RotatingPolarizer, Scene, Texture, Truth
 from pdavis_cv.tools.score import Trial, trials

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.analysis.score import axial_difference
+from pdavis_cv.analysis import axial_difference
 from pdavis_cv.fusion import fuse
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.analysis.score import KnownLight, axial_difference
+from pdavis_cv.analysis import axial_difference
 from pdavis_cv.fusion import fuse
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render import aop_bgr, fade
@@ -117,7 +117,7 @@ _NEAR = 0.06
 class _Circle:
     """Places of the image on a circle half way to the rim, and the AoP there."""
 
-    def __init__(self, fan: Fan, camera: Camera, truth: KnownLight, at_us: int) -> None:
+    def __init__(self, fan: Fan, camera: Camera, truth: Any, at_us: int) -> None:
         angle = np.arange(_PLACES) * 2 * np.pi / _PLACES
         radius = (fan.radius + fan.hub) / 2
         row, column = camera.origin
@@ -169,7 +169,7 @@ _SURE_DOLP = 0.97
 """Of the light: less of it means that sectors mix."""
 
 
-def _uncertainty(image: PolarFrame, truth: KnownLight, at_us: int
+def _uncertainty(image: PolarFrame, truth: Any, at_us: int
                  ) -> tuple[NDArray[np.float64], ...]:
     """Return stated sigma and error of AoP, degrees, nothing where none is stated."""
     if image.sigma_aop is None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.analysis.score import Scorer
+from lab.scoring import Scorer
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.fusion import fuse
 from pdavis_cv.polarimetry import PolarFrame

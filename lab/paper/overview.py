@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import AopEvents, Layout
-from pdavis_cv.analysis.score import axial_difference
+from pdavis_cv.analysis import axial_difference
 from pdavis_cv.fusion import fuse
 from pdavis_cv.simulation import (
     FULL,

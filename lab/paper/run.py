@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.analysis.score import KnownLight, Score, Scorer
+from lab.scoring import Score, Scorer
 from pdavis_cv.fusion import fuse
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.simulation import FULL, PRESETS, Camera, Scene
@@ -89,14 +89,14 @@ class Take:
     Parameters
     ----------
     recording : Recording
-    truth : KnownLight
+    truth : object
         The light in front of the camera.
     start_us, stop_us : int
         Beginning and end.
     """
 
     recording: Recording
-    truth: KnownLight
+    truth: Any
     start_us: int
     stop_us: int
 
@@ -198,7 +198,7 @@ class Row:
 
     Angles are in degrees; the first two errors are those of single super-pixels,
     ``_roi`` those of the region's mean, ``dolp_roi`` that mean's DoLP itself; see
-    `pdavis_cv.analysis.Score`.
+    `lab.scoring.Score`.
     """
 
     scene: str

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import PolarFrame, Recording
-from pdavis_cv.analysis.score import axial_difference
+from pdavis_cv.analysis import axial_difference
 from pdavis_cv.export import VideoFile
 from pdavis_cv.fusion import fuse
 from pdavis_cv.render import (

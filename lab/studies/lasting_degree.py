@@ -14,8 +14,8 @@ from unittest import mock
 import numpy as np
 from common import Found, main
 
+from lab.scoring import Scorer
 from pdavis_cv import fuse
-from pdavis_cv.analysis import Scorer
 from pdavis_cv.reconstruct.kalman import lasting_degree
 from pdavis_cv.simulation import (
     FULL,

@@ -6,7 +6,6 @@ from .align import (
     align_by_triggers as align_by_triggers,
 )
 from .cycles import PhaseLaw as PhaseLaw
-from .event_tone import event_hz as event_hz
 from .fan import (
     SectorSummary as SectorSummary,
     Wheel as Wheel,
@@ -49,20 +48,15 @@ from .roi import (
     parse_roi as parse_roi,
     read_rois as read_rois,
 )
-from .score import (
-    KnownLight as KnownLight,
-    Score as Score,
-    Scorer as Scorer,
-    axial_difference as axial_difference,
-)
-from .spectrum import (
-    Tone as Tone,
-    dominant_tone as dominant_tone,
+from .tones import (
+    event_hz as event_hz,
+    trace_hz as trace_hz,
 )
 from .traces import (
     TRACE_DTYPE as TRACE_DTYPE,
     TraceRecorder as TraceRecorder,
     Traces as Traces,
+    axial_difference as axial_difference,
     event_counts as event_counts,
     region_statistics as region_statistics,
 )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._checks import real_number
 from pdavis_cv.analysis.cycles import (
     LEAST_SEEN,
     PhaseLaw,
@@ -20,12 +21,13 @@ from pdavis_cv.analysis.harmonics import (
     fit_harmonics,
     of_dolp,
 )
-from pdavis_cv.analysis.spectrum import checked_hz
 
 __all__ = ["Periodic", "fit_periodic"]
 
 FloatArray = NDArray[np.float64]
 
+_MOST_HZ = 500_000.0
+"""Largest frequency: half the rate of a clock of microseconds."""
 _LEAST_FRAMES = 12
 _LEAST_CYCLES = 2.0
 _SIGNIFICANT = 4.0
@@ -94,7 +96,8 @@ def fit_periodic(
     ValueError
         If ``hz`` is not a frequency.
     """
-    hz = checked_hz(hz)
+    if not 0 < (hz := real_number(hz)) <= _MOST_HZ:
+        raise ValueError(f"hz must be positive and at most {_MOST_HZ:g}, got {hz!r}")
 
     def refused(reason: str) -> Periodic:
         return Periodic(PhaseLaw.steady(hz, reference_us), 0, 0, (),

@@ -19,6 +19,7 @@ __all__ = [
     "TRACE_DTYPE",
     "TraceRecorder",
     "Traces",
+    "axial_difference",
     "event_counts",
     "pixels_per_sample",
     "region_statistics",
@@ -323,3 +324,9 @@ def event_counts(
             inside = bins[mask[events["y"], events["x"]]]
             row += np.bincount(inside, minlength=len(row))
     return counts
+
+
+def axial_difference(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
+    """Return a - b of two axial angles in radians, in [-pi/2, pi/2)."""
+    difference = np.asarray(a, np.float64) - np.asarray(b, np.float64)
+    return np.asarray((difference + np.pi / 2) % np.pi - np.pi / 2)

@@ -259,8 +259,8 @@ def _found_hz(
                 abs(by_events - stated) * seconds < _EXACT):
             return stated
         return by_events
-    tones = [analysis.dominant_tone(fused.t_us, row["dolp"]) for row in fused.table]
-    hz = min(tones, key=lambda tone: tone.hz_se / tone.hz).hz
+    hz, _ = max((analysis.trace_hz(fused.t_us, row["dolp"]) for row in fused.table),
+                key=lambda found: found[1])
     return hz if by_events is None or abs(hz / by_events - 1) < _SAME else by_events
 
 

@@ -2,28 +2,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv import PolarFrame
+from pdavis_cv.analysis import axial_difference
 
-__all__ = ["KnownLight", "Score", "Scorer", "axial_difference"]
+__all__ = ["Score", "Scorer"]
 
 FloatArray = NDArray[np.float64]
-
-
-class KnownLight(Protocol):
-    """Light whose polarization is known, such as `simulation.Truth`."""
-
-    def aop(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
-        """Return the AoP, radians, at times in us and positions in recording pixels."""
-        ...
-
-    def dolp(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
-        """Return the degree of linear polarization at times and positions."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -67,12 +56,11 @@ class Scorer:
 
     Parameters
     ----------
-    truth : KnownLight
-        The light in front of the camera.
+    truth : object
+        The light in front of the camera: its methods aop and dolp take times in us and
+        places in pixels, such as those of `simulation.Truth`.
     shape : (int, int)
         (height, width) of the images.
-    origin : (int, int)
-        (x, y) of the images' top left corner in pixels of the recording.
     scale : int
         Recording pixels per image pixel; 2 for super-pixel images.
     mask : ndarray of bool, shape (H, W), optional
@@ -85,20 +73,14 @@ class Scorer:
     """
 
     def __init__(
-        self, truth: KnownLight, shape: tuple[int, int], *,
-        origin: tuple[int, int] = (0, 0), scale: int = 2,
-        mask: NDArray[np.bool_] | None = None, least_dolp: float = 0.2,
+        self, truth: Any, shape: tuple[int, int], *,
+        scale: int = 2, mask: NDArray[np.bool_] | None = None, least_dolp: float = 0.2,
         margin: float = 0.0,
     ) -> None:
         self._truth, self._least, self._margin = truth, least_dolp, margin
         self._mask = np.ones(shape, np.bool_) if mask is None else mask
-        if self._mask.shape != shape or not self._mask.any():
-            raise ValueError(
-                f"mask must have shape {shape} and hold a pixel, got "
-                f"{int(self._mask.sum())} in {self._mask.shape}")
         y, x = np.nonzero(self._mask)
-        self._x = (x + 0.5) * scale - 0.5 + origin[0]
-        self._y = (y + 0.5) * scale - 0.5 + origin[1]
+        self._x, self._y = ((at + 0.5) * scale - 0.5 for at in (x, y))
         # Sums and counts of five values: errors of AoP and DoLP, errors of the region's
         # AoP and DoLP, and the region's DoLP.
         self._sum, self._count = np.zeros(5), np.zeros(5)
@@ -107,17 +89,8 @@ class Scorer:
         self._span = (np.inf, -np.inf)
 
     def add(self, image: PolarFrame) -> None:
-        """Score one image.
-
-        Raises
-        ------
-        ValueError
-            If it has no time or another shape.
-        """
-        if image.t_us is None or image.shape != self._mask.shape:
-            raise ValueError(
-                f"image must have a time and shape {self._mask.shape}, got "
-                f"{image.t_us} and {image.shape}")
+        """Score one image, which has a time."""
+        assert image.t_us is not None
         angle = self._truth.aop(image.t_us, self._x, self._y)
         degree = self._truth.dolp(image.t_us, self._x, self._y)
         counts = self._away_from_edges(image.t_us, angle)
@@ -187,9 +160,3 @@ class Scorer:
             roi_aop_range=float(high - low) if high >= low else np.nan,
             aop_coverage=aop_coverage, dolp_coverage=dolp_coverage,
             valid=self._valid / self._seen if self._seen else np.nan)
-
-
-def axial_difference(a: ArrayLike, b: ArrayLike) -> FloatArray:
-    """Return a - b of two axial angles in radians, in [-pi/2, pi/2)."""
-    difference = np.asarray(a, np.float64) - np.asarray(b, np.float64)
-    return np.asarray((difference + np.pi / 2) % np.pi - np.pi / 2)
