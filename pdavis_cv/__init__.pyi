@@ -114,6 +114,7 @@ from .recording.base import (
     Source as Source,
 )
 from .recording.files import FileRecording as FileRecording
+from .recording.limits import Limits as Limits
 from .recording.memory import recording_from_arrays as recording_from_arrays
 from .recording.open import open_recording as open_recording
 from .recording.registry import FORMATS as FORMATS

@@ -15,6 +15,10 @@ from numpy.typing import NDArray
 
 __all__ = ["array_header", "read_arrays"]
 
+_ZIP = b"PK\x03\x04"
+MOST_HEADER = 10_000
+"""Longest header of an array, bytes: NumPy's own limit, but before it is read."""
+
 
 def array_header(
     file: IO[bytes], size: int
@@ -34,12 +38,17 @@ def array_header(
         If the header is damaged, has objects, or claims more data than there are.
     """
     version = np.lib.format.read_magic(file)
-    read = (np.lib.format.read_array_header_1_0 if version == (1, 0)
-            else np.lib.format.read_array_header_2_0)
+    read, wide = ((np.lib.format.read_array_header_1_0, 2) if version == (1, 0)
+                  else (np.lib.format.read_array_header_2_0, 4))
+    start = file.read(wide)
+    length = int.from_bytes(start, "little")
+    if length > MOST_HEADER:
+        raise ValueError(f"a header of {length} bytes, at most {MOST_HEADER} are read")
+    header = io.BytesIO(start + file.read(length))
     with warnings.catch_warnings():     # of type names and escapes in field names
         warnings.simplefilter("ignore", DeprecationWarning)
         warnings.simplefilter("ignore", SyntaxWarning)
-        shape, fortran, dtype = read(file)
+        shape, fortran, dtype = read(header)
     if dtype.hasobject or any(side < 0 for side in shape) or (
             max(dtype.itemsize, 1) * math.prod(shape) > size):
         raise ValueError(f"an array of shape {shape} and type {dtype} in {size} bytes")
@@ -69,8 +78,13 @@ def read_arrays(
     ValueError
         If it has another format or is damaged.
     """
-    data = Path(path).read_bytes()
+    with Path(path).open("rb") as source:
+        data = source.read(len(_ZIP))
+        if data == _ZIP:        # /dev/zero has no end
+            data += source.read(most_bytes)
     try:
+        if len(data) > most_bytes:
+            raise ValueError(f"more than {most_bytes} bytes")
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
             size = sum(member.file_size for member in members)

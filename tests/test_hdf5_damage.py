@@ -80,7 +80,7 @@ def test_what_the_file_cannot_hold_is_refused(tmp_path):
                                 maxshape=(None, *shape[1:]))
             if name != "events":
                 file["events"] = np.zeros((2, 4))
-        with pytest.raises(RecordingError, match="does not fit into the file's"):
+        with pytest.raises(RecordingError, match="more than the limit"):
             open_recording(tmp_path / "x.h5")
 
 

@@ -9,7 +9,7 @@ import pytest
 from test_aedat4_writer import small
 
 import pdavis_cv
-from pdavis_cv import Layout, Sensor, VideoCapture, open_recording, open_source
+from pdavis_cv import Layout, Limits, Sensor, VideoCapture, open_recording, open_source
 from pdavis_cv.recording.facts import Fact
 from pdavis_cv.recording.hdf5.writer import write_hdf5
 from pdavis_cv.recording.options import SourceOptions
@@ -39,10 +39,11 @@ def test_options_of_the_command_line_are_those_of_python():
     _options.add_source_options(parser)
     given = _options.source_given(parser.parse_args([
         "--layout", "sony", "--sensor-size", "346x260", "--source-fps", "50",
-        "--exposure-us", "5000", "--bits", "10", "--camera", "left"]))
+        "--exposure-us", "5000", "--bits", "10", "--camera", "left", "--limits",
+        "memory=1e9,ratio=7"]))
     assert given == {"layout": Layout.SONY, "sensor_size": (260, 346),
                      "source_fps": 50.0, "exposure_us": 5000, "bits": 10,
-                     "camera": "left"}
+                     "camera": "left", "limits": Limits(memory=1e9, ratio=7)}
     assert SourceOptions(**given).known_full_scale_dn == 1023
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from ._values import (
     layout_option,
+    limits_option,
     offset,
     pair,
     positive,
@@ -83,6 +84,7 @@ WORDS: dict[str | None, tuple[Callable[[str], Any], str]] = {
     "bits": (within(1, 32), "BITS"),
     "dn": (within(1, 2**32), "DN"),
     "size": (size_option, "WIDTHxHEIGHT"),
+    "limits": (limits_option, "NAME=N,.."),
     "region": (roi_option, "X,Y,W,H"),
     "layout": (layout_option, "LAYOUT"),
     "calibration": (Path, "NPZ"),

@@ -6,11 +6,12 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from pdavis_cv import Layout
+    from pdavis_cv import Layout, Limits
 
 __all__ = [
     "LAST_SEED",
     "layout_option",
+    "limits_option",
     "number",
     "numbers",
     "offset",
@@ -114,6 +115,18 @@ def size_option(text: str) -> tuple[int, int]:
     if not (cross and width.isdecimal() and height.isdecimal()):
         raise argparse.ArgumentTypeError(f"WIDTHxHEIGHT is needed, got {text!r}")
     return int(height), int(width)
+
+
+def limits_option(text: str) -> Limits:
+    """Parse NAME=NUMBER,.. into Limits."""
+    from pdavis_cv.recording.limits import Limits
+    try:
+        values: dict[str, Any] = {name: number(value) for name, _, value in (
+            part.partition("=") for part in text.split(","))}
+        return Limits(**values)
+    except (TypeError, ValueError) as error:
+        raise argparse.ArgumentTypeError(
+            f"NAME=NUMBER,.. of Limits is needed, got {text!r}: {error}") from None
 
 
 def layout_option(text: str) -> Layout:

@@ -35,6 +35,7 @@ from pdavis_cv.recording.aedat4.container import (
 )
 from pdavis_cv.recording.aedat4.flatbuffer import PayloadError, root_table
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
+from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.options import MAX_SIDE
 from pdavis_cv.recording.timeline import NEVER
 from pdavis_cv.sensor import Layout, Sensor
@@ -140,6 +141,7 @@ class DvSource(LiveSource):
         self._scale: samples.FrameScale | None = None
         self._last_us: int | None = None
         self._held: deque[ApsFrame] = deque()   # until events reach their time
+        self._budget = Budget(name)
 
     def _facts(self, name: str) -> RecordingInfo:
         streams = [stream for one in self._connections
@@ -204,11 +206,11 @@ class DvSource(LiveSource):
             if kind == "EVTS":
                 # Without compression they are decoded from where they were received.
                 events = (payload if compression == "none"
-                          else decompressed(payload, compression))
+                          else decompressed(payload, compression, self._budget))
                 yield from self._of_events(
                     events, *samples.event_vector(root_table(events, b"EVTS")))
                 return
-            data = decompressed(payload, compression)
+            data = decompressed(payload, compression, self._budget)
             table = root_table(data, kind.encode())
             if kind == "FRME":
                 self._held.append(self._frame(data, table))

@@ -164,12 +164,12 @@ class Aedat3Recording(PiecewiseRecording):
             kind, size, overflow, count = found
             after = at + _HEAD.size + size * count
             following = self._plausible(after)
-            data = self._reader.read(at + _HEAD.size, size * count)
-            inside = None
-            if following is None and after < end:
-                # The size is wrong or bytes are missing: the next may begin inside.
-                inside = self._resync(at + 1, after)
-            elif _looks_torn(kind, size, data):
+            # The size is wrong or bytes are missing: the next may begin inside.
+            inside = self._resync(at + 1, after) if (
+                following is None and after < end) else None
+            data = b"" if inside else self._reader.read(at + _HEAD.size, size * count)
+            if (following is not None or after >= end) and _looks_torn(
+                    kind, size, data):
                 inside = self._hidden(at + 1, after)
             if inside is not None:
                 if not quiet:
@@ -177,7 +177,7 @@ class Aedat3Recording(PiecewiseRecording):
                                      f"byte {after} ends at {inside}", offset=at)
                 count = max(inside - at - _HEAD.size, 0) // size
                 after, following = inside, self._plausible(inside)
-                data = data[:size * count]
+                data = self._reader.read(at + _HEAD.size, size * count)
             if len(data) < size * count:
                 if not quiet:
                     self._log.damage(
@@ -203,12 +203,16 @@ class Aedat3Recording(PiecewiseRecording):
 
     def _resync(self, at: int, until: int) -> int | None:
         """Return where the next packet of a known kind begins, before `until`."""
-        step = 1 << 20
-        for base in range(at, until, step):
-            for found in _BEGIN.finditer(self._reader.read(base, step + _HEAD.size)):
+        # From small blocks to large ones, so that what is read is as far as it is.
+        base, step = at, 256
+        while base < until:
+            block = self._reader.read(base, min(step, until - base) + _HEAD.size)
+            self._budget.search(at, len(block))
+            for found in _BEGIN.finditer(block):
                 start = base + found.start()
                 if start < until and self._plausible(start) is not None:
                     return start
+            base, step = base + step, min(16 * step, 1 << 20)
         return None
 
     def _hidden(self, at: int, until: int) -> int | None:
@@ -222,7 +226,8 @@ class Aedat3Recording(PiecewiseRecording):
             if inside is None:
                 return None
             after, count = inside, 0
-            while after < until and (found := self._plausible(after)) is not None:
+            while after < until and count < 2 and (
+                    found := self._plausible(after)) is not None:
                 after += _HEAD.size + found[1] * found[3]
                 count += 1
             if after == until or count > 1:

@@ -17,12 +17,7 @@ from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.files import microseconds
-from pdavis_cv.recording.numpy_files import (
-    MOST_RATIO,
-    StoredArray,
-    stored_arrays,
-    unpacked,
-)
+from pdavis_cv.recording.numpy_files import StoredArray, stored_arrays, unpacked
 from pdavis_cv.recording.options import MAX_SIDE, SourceOptions
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import SequentialRecording
@@ -119,9 +114,12 @@ class TextRecording(_EventList):
                 # is_dir() fails on a name that is empty.
                 members = [m for m in archive.infolist()
                            if not m.filename.endswith("/")]
-            texts = [m for m in members if m.filename.lower().endswith((".txt", ".csv"))
-                     and m.file_size <= MOST_RATIO * reader.size]
+            texts = [m for m in members
+                     if m.filename.lower().endswith((".txt", ".csv"))]
+            self._budget.total(sum(m.file_size for m in texts))
             text = unpacked(self._path, texts[0]) if len(texts) == 1 else None
+        except RecordingError:
+            raise
         except (zipfile.BadZipFile, OSError, EOFError, NotImplementedError,
                 RuntimeError, ValueError, zlib.error) as error:
             raise RecordingError(
@@ -207,7 +205,8 @@ class NumpyRecording(_EventList):
         """Return the arrays of the file by name, each like a `StoredArray`."""
         self._reader = self._bytes()
         return stored_arrays(
-            self._reader, lambda reader: self._closing.callback(reader.close))
+            self._reader, lambda reader: self._closing.callback(reader.close),
+            self._budget)
 
     def _open(self, options: SourceOptions) -> RecordingInfo:
         try:

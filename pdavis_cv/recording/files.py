@@ -21,6 +21,7 @@ from pdavis_cv.events import FAR
 from pdavis_cv.recording.base import Problem, Recording, RecordingInfo
 from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, Fact
 from pdavis_cv.recording.file_reader import FileReader, RemoteReader
+from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.options import MAX_SIDE, SourceOptions
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.timeline import BACKWARD, FILLED, OFFSET, OUTSIDE, Clock
@@ -111,6 +112,8 @@ class FileRecording(Recording):
         Receives findings; with `_strict` they are raised as errors, see `_count`.
     _closing : ExitStack
         Holds what `_open` opens, to be released by `close`.
+    _budget : Budget
+        What the file may make its reader take.
     """
 
     def __init__(self, path: str | os.PathLike[str],
@@ -119,6 +122,7 @@ class FileRecording(Recording):
         self._path = as_path(path)
         self._strict = options.bad_events == "raise"
         self._log = ProblemLog(str(path))
+        self._budget = Budget(path, options.limits)
         self._closing = ExitStack()
         self._closed = False
         try:

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 
 from pdavis_cv._arrays import array_header
 from pdavis_cv.recording.file_reader import FileReader
+from pdavis_cv.recording.limits import Budget
 
-__all__ = ["MOST_RATIO", "StoredArray", "stored_arrays", "unpacked"]
+__all__ = ["StoredArray", "stored_arrays", "unpacked"]
 
-MOST_RATIO = 1100
-"""Deflate compresses at most 1032 to 1; a file that claims more is damaged."""
 _LOCAL_HEADER = 30
 """Bytes of a member's header before its name; the last two words are the sizes of the
 name and of the extra field."""
@@ -98,8 +97,8 @@ class StoredArray:
         return column
 
 
-def stored_arrays(reader: FileReader, kept: Callable[[FileReader], object]
-                  ) -> dict[str, StoredArray]:
+def stored_arrays(reader: FileReader, kept: Callable[[FileReader], object],
+                  budget: Budget) -> dict[str, StoredArray]:
     """Return the arrays of a file by name in lower case; "" for that of ``.npy``.
 
     Parameters
@@ -107,9 +106,12 @@ def stored_arrays(reader: FileReader, kept: Callable[[FileReader], object]
     reader : FileReader
     kept : callable
         Called with each reader that has to be closed with the recording.
+    budget : Budget
 
     Raises
     ------
+    RecordingError
+        If they are larger than the budget allows.
     Exception
         Any exception that NumPy or zipfile raises for a damaged file.
     """
@@ -118,8 +120,7 @@ def stored_arrays(reader: FileReader, kept: Callable[[FileReader], object]
             return {"": _header(file, reader.size, lambda: reader)}
     with zipfile.ZipFile(reader.path) as archive:
         members = archive.infolist()
-        if sum(m.file_size for m in members) > MOST_RATIO * reader.size:
-            raise ValueError("more numbers than a file of this size can hold")
+        budget.total(sum(m.file_size for m in members))
         return {member.filename.removesuffix(".npy").lower(): _member(
             archive, member, reader, kept) for member in members}
 

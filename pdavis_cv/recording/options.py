@@ -13,6 +13,7 @@ from typing import Any, TypedDict
 from pdavis_cv._checks import checked_rate, sensor_shape, whole_number
 from pdavis_cv._options import Options, documented, option
 from pdavis_cv._types import Parameters
+from pdavis_cv.recording.limits import Limits
 from pdavis_cv.sensor import SENSORS, Layout, Sensor
 
 __all__ = ["MAX_SIDE", "MOST_DN", "SourceKeywords", "SourceOptions", "source_part"]
@@ -98,6 +99,12 @@ class SourceOptions(Options):
         "counted in ``problems``, or raise RecordingError.", "text",
         "what to do with events outside the sensor or before their predecessor",
         choices=_BAD_EVENTS)
+    limits: Limits | None = option(
+        None, "Limits, optional",
+        "What the file may make its reader take; beyond it is a RecordingError.  "
+        "Default: `Limits()`, which no known recording comes near.", "limits",
+        "what the file may make its reader take: memory=BYTES,ratio=R,work_per_byte=W,"
+        "time_span=US; the defaults suit all known recordings")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -119,6 +126,8 @@ class SourceOptions(Options):
                 self._put(name, whole_number(name, value, 1, most))
         if self.bits is not None and self.full_scale_dn is not None:
             raise ValueError("give bits or full_scale_dn, not both")
+        if not isinstance(self.limits, Limits | None):
+            raise TypeError(f"limits must be Limits, got {type(self.limits).__name__}")
         if self.bad_events not in _BAD_EVENTS:
             raise ValueError(f"bad_events must be one of {', '.join(_BAD_EVENTS)}, got "
                              f"{self.bad_events!r}")
@@ -167,6 +176,7 @@ class SourceKeywords(TypedDict, total=False):
     full_scale_dn: int | None
     columns: str | None
     bad_events: str
+    limits: Limits | None
 
 
 def source_part(parameters: Mapping[str, Any]) -> dict[str, Any]:

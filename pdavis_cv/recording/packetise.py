@@ -1,6 +1,7 @@
 """Divide streams of samples into packets with fixed boundaries."""
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -21,10 +22,13 @@ from pdavis_cv.recording.base import (
     Packet,
     joined,
 )
+from pdavis_cv.recording.limits import Budget
 
 __all__ = ["END_OF_TIME", "Batch", "between", "cell_start", "packetise"]
 
 END_OF_TIME = 1 << 62
+_PIXEL = 5
+"""Bytes of a frame's pixel: its DN, and whether it is valid."""
 
 # glibc returns memory at the end of its heap to the system, but from then on that a
 # block of this size was released it keeps as much: each packet would else come of
@@ -59,7 +63,8 @@ def cell_start(t_us: int) -> int:
 
 
 def packetise(
-    batches: Iterable[Batch], start_us: int | None = None, stop_us: int | None = None
+    batches: Iterable[Batch], start_us: int | None = None, stop_us: int | None = None,
+    budget: Budget | None = None,
 ) -> Iterator[Packet]:
     """Divide batches into packets and yield those in start_us <= time < stop_us.
 
@@ -72,11 +77,18 @@ def packetise(
     batches : iterable of Batch
     start_us, stop_us : int, optional
         Half-open interval.
+    budget : Budget, optional
+        Of the file; without, nothing is bounded.
 
     Yields
     ------
     Packet
         Its arrays are copies.
+
+    Raises
+    ------
+    RecordingError
+        If a limit of the budget is passed.
     """
     events, imu, triggers = (
         _Queue(dtype) for dtype in (EVENT_DTYPE, IMU_DTYPE, TRIGGER_DTYPE))
@@ -86,11 +98,13 @@ def packetise(
     end = END_OF_TIME if stop_us is None else stop_us
     begin = first if start_us is None else cell_start(start_us)
     whole = start_us is stop_us is None
+    taken = 0
     for batch in chain(batches, (Batch(),)):
         for queue, samples in zip(
                 queues, (batch.events, batch.imu, batch.triggers), strict=True):
             if samples is not None and len(samples):
                 queue.put(samples, begin)
+                taken += samples.nbytes
         frames.extend(f for f in batch.frames if f.available_us >= begin)
         while True:
             at = min(queue.next_us for queue in queues)
@@ -104,6 +118,8 @@ def packetise(
                 until = frames[0].available_us + 1
             if until > batch.complete_us:
                 break
+            if budget is not None:
+                budget.time(at)
             for part_end, part in events.parts(until):
                 last = part_end == until
                 shut = ((frames.popleft(),) if last and closing else ())
@@ -114,6 +130,10 @@ def packetise(
                     yield packet
         if batch.complete_us >= end and at >= end:
             return
+        if budget is not None:
+            budget.total(taken)
+            budget.waiting(sum(queue.nbytes for queue in queues) + len(frames) * (
+                _PIXEL * math.prod(frames[0].shape) if frames else 0))
 
 
 def _cut(packet: Packet, first: int, end: int) -> Packet:
@@ -136,12 +156,12 @@ def between(samples: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
 class _Queue:
     """Samples of one kind that are not yet in a packet."""
 
-    __slots__ = ("_chunks", "_empty", "_used", "next_us")
+    __slots__ = ("_chunks", "_empty", "_used", "nbytes", "next_us")
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
         self._chunks: deque[NDArray[Any]] = deque()
         self._empty = np.empty(0, dtype)
-        self._used = 0
+        self._used = self.nbytes = 0
         self.next_us = END_OF_TIME
 
     def put(self, samples: NDArray[Any], begin: int) -> None:
@@ -150,6 +170,7 @@ class _Queue:
             if not len(samples):
                 return
         self._chunks.append(samples)
+        self.nbytes += samples.nbytes
         if self.next_us == END_OF_TIME:
             self.next_us = int(samples["t"][0])
 
@@ -182,4 +203,6 @@ class _Queue:
             self._used = 0
         self.next_us = (int(self._chunks[0]["t"][self._used])
                         if self._chunks else END_OF_TIME)
-        return joined(got)
+        found = joined(got)
+        self.nbytes -= found.nbytes
+        return found

@@ -21,7 +21,8 @@ __all__ = ["FORMATS", "first_bytes", "format_of", "is_recording", "read_with",
            "suffixes", "writer_for"]
 
 _HEAD = 4096
-_ALWAYS = frozenset(("layout", "sensor", "sensor_size", "camera", "bad_events"))
+_ALWAYS = frozenset((
+    "layout", "sensor", "sensor_size", "camera", "bad_events", "limits"))
 """Options that every format has."""
 
 _ALL = frozenset(("events", "frames", "imu", "triggers"))

@@ -5,14 +5,19 @@ object for each event would take a hundred times as long.
 """
 from __future__ import annotations
 
+import bz2
+import functools
 import struct
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator, Sequence
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
+from contextvars import ContextVar
 from copy import deepcopy
 from itertools import count, islice
+from types import SimpleNamespace
 from typing import Any
 
+import lz4.frame
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +27,7 @@ from pdavis_cv.recording.aedat4.samples import EIGHT_BIT_DN, TEN_BIT_DN
 from pdavis_cv.recording.base import ApsFrame, RecordingInfo
 from pdavis_cv.recording.event_packets import ENCODINGS, trigger
 from pdavis_cv.recording.facts import stated
+from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.options import MAX_SIDE, SourceOptions
 from pdavis_cv.recording.packetise import Batch
 from pdavis_cv.recording.prophesee import WordStream, ordered_triggers
@@ -44,6 +50,8 @@ HORIZON_US = 500_000
 SIZES = 9
 """Number of messages whose most frequent size is taken as that of the sensor."""
 MAX_MESSAGE = 1 << 28
+_BUDGET: ContextVar[Budget | None] = ContextVar("budget", default=None)
+"""Of the bag that rosbags reads just now."""
 EVENT_ARRAYS = frozenset(f"{package}/msg/EventArray" for package in (
     "dvs_msgs", "prophesee_event_msgs", "dv_ros_msgs"))
 EVENT_PACKETS = frozenset((
@@ -74,7 +82,34 @@ def rosbags() -> tuple[Any, Any]:
     except ImportError:
         raise ImportError(
             "ROS bags need a package: pip install rosbags (extra [ros])") from None
+    _bound_decompressors()
     return rosbag1, rosbag2
+
+
+@functools.cache
+def _bound_decompressors() -> None:
+    """Let the decompressors of rosbags draw on the budget of the bag that is read."""
+    from rosbags.rosbag1 import reader as of_ros1
+    from rosbags.rosbag2 import reader, storage_mcap
+
+    of_ros2: Any = reader
+
+    def bound(plain: Callable[..., bytes], kind: Callable[[], Any]) -> Any:
+        def unpack(data: bytes, *size: int) -> bytes:
+            budget = _BUDGET.get()
+            return plain(data, *size) if budget is None else budget.unpacked(
+                kind().decompress, data, "a chunk or message")
+        return unpack
+
+    zstd = of_ros2.zstd
+    for table, name, kind in (
+            (of_ros1.decompressors, "bz2", bz2.BZ2Decompressor),
+            (of_ros1.decompressors, "lz4", lz4.frame.LZ4FrameDecompressor),
+            (storage_mcap.DECOMPRESSORS, "lz4", lz4.frame.LZ4FrameDecompressor),
+            (storage_mcap.DECOMPRESSORS, "zstd", zstd.ZstdDecompressor)):
+        table[name] = bound(table[name], kind)
+    of_ros2.zstd = SimpleNamespace(
+        open=zstd.open, decompress=bound(zstd.decompress, zstd.ZstdDecompressor))
 
 
 class _Message:
@@ -182,7 +217,7 @@ class RosRecording(PiecewiseRecording):
         self._cdr = self._is_ros2()
         self._kind: Any = (rosbag2 if self._cdr else rosbag1).Reader
         try:
-            with self._kind(self._path) as bag:
+            with self._drawing(), self._kind(self._path) as bag:
                 self._encodings = self._found_encodings(bag, options.camera)
                 copied = self._first_text(bag)
                 self._topics = self._choose(
@@ -385,6 +420,15 @@ class RosRecording(PiecewiseRecording):
                 HORIZON_US if both else 0))
             yield batch, (number + 1) / max(self._message_count, number + 1)
 
+    @contextmanager
+    def _drawing(self) -> Iterator[None]:
+        """Take what is unpacked in the block from the budget."""
+        token = _BUDGET.set(self._budget)
+        try:
+            yield
+        finally:
+            _BUDGET.reset(token)
+
     def _messages(self) -> Iterator[tuple[str, str, bytes]]:
         """Yield (topic, type, data) up to the end or the first unreadable part.
 
@@ -392,9 +436,12 @@ class RosRecording(PiecewiseRecording):
         """
         with ExitStack() as stack:
             try:
-                messages = stack.enter_context(closing(self._of(
-                    stack.enter_context(self._kind(self._path)))))
-                ahead = next(messages, None)
+                with self._drawing():
+                    messages = stack.enter_context(closing(self._of(
+                        stack.enter_context(self._kind(self._path)))))
+                    ahead = next(messages, None)
+            except RecordingError:
+                raise
             except Exception as error:  # as in _open
                 self._lost(error)
                 return
@@ -402,7 +449,10 @@ class RosRecording(PiecewiseRecording):
                 self._check_open()
                 yield ahead
                 try:
-                    ahead = next(messages, None)
+                    with self._drawing():
+                        ahead = next(messages, None)
+                except RecordingError:
+                    raise
                 except Exception as error:
                     self._lost(error)
                     return

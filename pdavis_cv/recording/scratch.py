@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.file_reader import FileReader
+from pdavis_cv.recording.limits import Budget
 
 __all__ = ["Gathering", "Scratch"]
 
@@ -48,10 +49,14 @@ class Gathering(Scratch):
     ----------
     start_us, stop_us : int, optional
         Half-open interval of the events to keep.
+    budget : Budget
+        From which their memory is taken.
     """
 
-    def __init__(self, start_us: int | None, stop_us: int | None) -> None:
+    def __init__(self, start_us: int | None, stop_us: int | None, budget: Budget
+                 ) -> None:
         super().__init__()
+        self._budget = budget
         self._start, self._stop = start_us, stop_us
         self._all = np.empty(0, EVENT_DTYPE)
         self._first = self._end = 0
@@ -86,6 +91,7 @@ class Gathering(Scratch):
         hi = (len(events) if self._stop is None
               else bisect_left(events["t"], self._stop))
         if lo < hi:
+            self._budget.total((self._end + hi) * events.itemsize)
             self.reserve(hi)
             if not np.may_share_memory(events, self._all):
                 _copy(events[:hi], self._all[self._end:self._end + hi])

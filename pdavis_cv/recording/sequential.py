@@ -43,14 +43,14 @@ class PiecewiseRecording(FileRecording):
         """Iterate over the samples with start_us <= time < stop_us, in time order."""
         self._check_open()
         batches = (batch for batch, _ in self._pieces(start_us, Scratch()))
-        return packetise(batches, start_us, stop_us)
+        return packetise(batches, start_us, stop_us, self._budget)
 
     def events(
         self, start_us: int | None = None, stop_us: int | None = None
     ) -> NDArray[Any]:
         """Return the events of start_us <= time < stop_us as one array."""
         self._check_open()
-        memory = Gathering(start_us, stop_us)
+        memory = Gathering(start_us, stop_us, self._budget)
         for batch, share in self._pieces(start_us, memory, frames=False):
             if batch.events is not None and memory.keep(batch.events):
                 break

@@ -26,6 +26,7 @@ from pdavis_cv.recording.aedat4.flatbuffer import (
 )
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.files import ProblemLog, clock_text
+from pdavis_cv.recording.limits import Budget
 
 __all__ = ["MAGIC", "MAX_HEADER", "MAX_PAYLOAD", "Aedat4File", "Entry", "Stream",
            "decompressed", "parsed_header"]
@@ -83,6 +84,8 @@ class Aedat4File:
         The file; the caller closes it.
     log : ProblemLog
         Receives findings of damage.
+    budget : Budget, optional
+        Default: one of the file's own.
 
     Attributes
     ----------
@@ -98,8 +101,10 @@ class Aedat4File:
         If the header cannot be read.
     """
 
-    def __init__(self, reader: FileReader, log: ProblemLog) -> None:
+    def __init__(self, reader: FileReader, log: ProblemLog,
+                 budget: Budget | None = None) -> None:
         self.reader, self.log = reader, log
+        self.budget = budget or Budget(reader.path)
         self._read_header()
         self.indexed = False
         self.indexed = self._read_index()
@@ -155,7 +160,7 @@ class Aedat4File:
     def _take_index(self, payload: bytes) -> bool:
         """Use an index; return False if it lacks counts and times."""
         if payload[8:12] != b"FTAB":  # DV compresses it, jAER does not
-            payload = decompressed(payload, self.compression)
+            payload = decompressed(payload, self.compression, self.budget)
         table = root_table(payload, b"FTAB")
         at, count = table.vector(0, 4)
         offset, header, number, start, stop = table_fields(
@@ -260,6 +265,7 @@ class Aedat4File:
         base, step, overlap = at, 64, 32
         while base < until:
             block = self.reader.read(base, min(step, until - base) + overlap)
+            self.budget.search(at, len(block))
             for i in heapq.merge(*(_find_all(block, mark) for mark in set(marks))):
                 start = base + i - before
                 if at <= start < until and self._plausible(start, limit) is not None:
@@ -283,7 +289,7 @@ class Aedat4File:
         return self._decoded(entry.stream, raw)
 
     def _decoded(self, stream: int, raw: bytes) -> tuple[bytes, Table]:
-        data = decompressed(memoryview(raw)[8:], self.compression)
+        data = decompressed(memoryview(raw)[8:], self.compression, self.budget)
         return data, root_table(data, self.streams[stream].kind.encode())
 
     def _moved(self, entry: Entry) -> tuple[bytes, Table]:
@@ -348,7 +354,8 @@ def parsed_header(data: bytes) -> tuple[str, int, dict[int, Stream]]:
     return COMPRESSIONS[code], position, streams
 
 
-def decompressed(payload: bytes | memoryview, compression: str) -> bytes:
+def decompressed(payload: bytes | memoryview, compression: str, budget: Budget
+                 ) -> bytes:
     """Return the FlatBuffer of a packet.
 
     Parameters
@@ -356,17 +363,24 @@ def decompressed(payload: bytes | memoryview, compression: str) -> bytes:
     payload : bytes or memoryview
     compression : str
         One of ``COMPRESSIONS``.
+    budget : Budget
 
     Raises
     ------
     PayloadError
         If it cannot be decompressed.
+    RecordingError
+        If it becomes larger than the budget allows.
     """
     if compression == "none":
         return bytes(payload)
     if compression.startswith("ZSTD"):
-        return _unpack_zstd(bytes(payload))
-    return _unpack_lz4(payload)
+        data = _unpack_zstd(bytes(payload), budget.most(len(payload)))
+    else:
+        data = _unpack_lz4(payload, budget.most(len(payload)))
+    if _declared(data) > len(data):
+        budget.piece(_declared(data), "a packet", len(payload))
+    return data
 
 
 def _begin(payload: bytes, compression: str) -> bytes:
@@ -380,15 +394,15 @@ def _begin(payload: bytes, compression: str) -> bytes:
     return begin
 
 
-def _unpack_lz4(payload: bytes | memoryview) -> bytes:
+def _unpack_lz4(payload: bytes | memoryview, most: int) -> bytes:
     # LZ4FrameDecompressor copies a memoryview.
     unpack = lz4.frame.decompress_chunk
     context = lz4.frame.create_decompression_context()
     data: bytes
     try:
-        guess = min(max(4 * len(payload), 1 << 16), MAX_PAYLOAD)
+        guess = min(max(4 * len(payload), 1 << 16), most)
         data, used, ended = unpack(context, payload, max_length=guess)
-        size = _declared(data)
+        size = min(_declared(data), most)
         if size > len(data) and not ended:
             data += unpack(context, payload[used:], max_length=size - len(data))[0]
     except (RuntimeError, EOFError, MemoryError) as error:
@@ -398,7 +412,7 @@ def _unpack_lz4(payload: bytes | memoryview) -> bytes:
     return data
 
 
-def _unpack_zstd(payload: bytes, most: int = MAX_PAYLOAD) -> bytes:
+def _unpack_zstd(payload: bytes, most: int) -> bytes:
     try:
         import zstandard
     except ImportError:

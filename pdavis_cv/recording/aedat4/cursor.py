@@ -25,6 +25,8 @@ from pdavis_cv.recording.timeline import (
 
 __all__ = ["Cursor"]
 
+_SAMPLE = 64
+"""Bytes that an IMU sample takes while it is read; four of the file may name it."""
 KEPT_BYTES = 1 << 22
 """Packets that were examined ahead are kept up to this size, larger ones read again."""
 
@@ -107,6 +109,7 @@ class Cursor:
                 self._file.lost(entry, error)
                 continue
             used = int(state[0])
+            self._file.budget.total((used + count) * out.itemsize)
             if used + count > len(out):
                 more = np.empty(max(len(out), count), EVENT_DTYPE)
                 out = joined([out, more])
@@ -229,7 +232,10 @@ class Cursor:
 
     def _samples(self, entry: Entry) -> NDArray[Any]:
         read = samples.imu_samples if self.kind == "IMUS" else samples.triggers
-        got = read(*self._file.table(entry))
+        data, table = self._file.table(entry)
+        self._file.budget.piece(
+            _SAMPLE * table.vector(0, 4)[1], "a packet of samples")
+        got = read(data, table)
         times = got["t"].astype(np.int64)
         if not self._file.indexed and len(times) > 2 and (
                 int(times[-1]) - int(times[-2]) > SEGMENT_US):

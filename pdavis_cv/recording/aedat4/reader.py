@@ -46,7 +46,7 @@ class Aedat4Recording(FileRecording):
     """
 
     def _open(self, options: SourceOptions) -> RecordingInfo:
-        self._file = Aedat4File(self._bytes(), self._log)
+        self._file = Aedat4File(self._bytes(), self._log, self._budget)
         self._streams = self._choose(options.camera)
         self._marks = Marks(MARK_PULLS)
         self._jaer = any(s.attributes.get("originalModuleName") == "jAER"
@@ -196,7 +196,8 @@ class Aedat4Recording(FileRecording):
         self, start_us: int | None = None, stop_us: int | None = None
     ) -> Iterator[Packet]:
         """Iterate over the samples with start_us <= time < stop_us, in time order."""
-        return packetise(self._batches(start_us), start_us, stop_us)
+        return packetise(
+            self._batches(start_us), start_us, stop_us, self._budget)
 
     def events(
         self, start_us: int | None = None, stop_us: int | None = None

@@ -42,9 +42,8 @@ __all__ = ["Hdf5Recording", "h5py_module"]
 
 CHUNK = 1 << 16
 LEAST_PIECE = 256
-MAX_CHUNK = 256 << 20
-MOST_RATIO = 1100
-"""Deflate compresses at most 1032 to 1; a file that claims more is damaged."""
+_PIXEL = 6
+"""Bytes that a pixel of a frame takes while it is read."""
 MAX_EXPOSURE_US = 60_000_000
 ECF = 0x8ECF
 """Prophesee's number of its codec among the filters of HDF5."""
@@ -98,7 +97,6 @@ class Hdf5Recording(PiecewiseRecording):
             raise RecordingError(f"{path}: byte 0: HDF5 cannot read it: {error}"
                                  ) from error
         self._closing.callback(self._file.close)
-        self._most_bytes = MOST_RATIO * self._path.stat().st_size
         try:
             with _reading():
                 self._columns = self._find_events()
@@ -153,13 +151,13 @@ class Hdf5Recording(PiecewiseRecording):
         return found
 
     def _bounded(self, found: Any, name: str) -> None:
-        """Raise RecordingError if a dataset claims more than its file can hold."""
+        """Raise RecordingError if a dataset is larger than the budget allows."""
         row = found.dtype.itemsize * math.prod(found.shape[1:])
         chunk = found.dtype.itemsize * math.prod(found.chunks or ())
-        if row * len(found) > self._most_bytes or max(row, chunk) > MAX_CHUNK:
-            raise RecordingError(
-                f"{self._path}: {name} of shape {found.shape} does not fit into the "
-                f"file's {self._path.stat().st_size} bytes")
+        self._budget.piece(
+            max(row, chunk, _PIXEL * math.prod(found.shape[1:])),
+            f"{name} of shape {found.shape} in chunks {found.chunks}, pieces")
+        self._budget.total(row * len(found))
 
     def _records(self, name: str, fields: str) -> Any:
         """Return ``/NAME/events`` of Metavision, None if there is none.
@@ -250,7 +248,7 @@ class Hdf5Recording(PiecewiseRecording):
 
     def _first(self, read: Callable[[slice], Columns]) -> Columns:
         """Return the columns of the readable ones of the first events."""
-        step = max(self._piece, LEAST_PIECE)
+        step = min(max(self._piece, LEAST_PIECE), CHUNK)
         for rows in (slice(0, CHUNK), *(
                 slice(row, row + step) for row in range(0, self._length, step))):
             with contextlib.suppress(_LostError), _reading():
@@ -392,9 +390,9 @@ class Hdf5Recording(PiecewiseRecording):
                 if found is None:
                     return np.empty(0, dtype)
                 # HDF5 itself crashes on a record whose fields overlap.
-                if found.dtype != dtype or found.ndim != 1 or (
-                        len(found) * dtype.itemsize > self._most_bytes):
+                if found.dtype != dtype or found.ndim != 1:
                     raise ValueError(f"{found.shape} of {found.dtype}")
+                self._bounded(found, name)
                 table: NDArray[Any] = found[()]
                 times = table["t"].astype(np.int64)
         except _LostError as error:

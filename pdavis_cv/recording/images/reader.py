@@ -113,11 +113,11 @@ class ImageRecording(FileRecording):
         def one(name: str) -> Pictures:
             suffix = Path(name).suffix.lower()
             if suffix in TIFF_SUFFIXES:
-                return TiffPictures(name)
+                return TiffPictures(name, self._budget)
             if suffix in STILL_SUFFIXES:
-                return StillPicture(name)
+                return StillPicture(name, self._budget)
             return (ArrayPictures(name) if suffix == ".npy"
-                    else VideoPictures(name, self._log))
+                    else VideoPictures(name, self._log, self._budget))
 
         def several(files: Sequence[str]) -> Pictures:
             return one(files[0]) if len(files) == 1 else Several(files, one)

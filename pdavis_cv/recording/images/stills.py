@@ -2,8 +2,11 @@
 from __future__ import annotations
 
 import math
+import os
 import re
+import struct
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -16,12 +19,20 @@ from pdavis_cv.recording.images.pictures import (
     Pictures,
     one_plane,
 )
+from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.numpy_files import stored_arrays
 
 __all__ = ["ArrayPictures", "StillPicture", "is_image_array"]
 
-_PGM = re.compile(rb"P[25]\s(?:\s*#.*\n)*\s*\d+\s+\d+\s+(\d+)\s")
+_PGM = re.compile(rb"P[2356]\s(?:\s*#.*\n)*\s*(\d+)\s+(\d+)\s+(\d+)\s")
 _SHAPE = re.compile(rb"\x93NUMPY.{4,6}\{[^}]*'shape': \((\d[\d, ]*)\)", re.DOTALL)
+_SIDES = (
+    (re.compile(rb"\x89PNG.{12}(.{8})", re.DOTALL), ">ii"),
+    (re.compile(rb"BM.{16}(.{8})", re.DOTALL), "<ii"),
+    (re.compile(rb".{,512}ihdr(.{8})", re.DOTALL), ">ii"))
+"""Where PNG, BMP and JPEG 2000 state their sides."""
+_PIXEL = 6
+"""Bytes of a pixel of three channels of 16 bits."""
 _FEWEST_COLUMNS = 16
 """Fewer are the columns of a list of events."""
 _JPEG = b"\xff\xd8\xff"
@@ -34,28 +45,49 @@ def is_image_array(start: bytes) -> bool:
     return len(sides) > 2 or (len(sides) == 2 and sides[1] >= _FEWEST_COLUMNS)
 
 
+def _sides(file: BinaryIO) -> tuple[int, int]:
+    """Return two sides that an image states, (0, 0) for WebP, whose sides are short."""
+    start = file.read(1024)
+    for pattern, code in _SIDES:
+        if found := pattern.match(start):
+            first, second = struct.unpack(code, found[1])
+            return abs(first), abs(second)
+    if found := _PGM.match(start):
+        return int(found[1]), int(found[2])
+    file.seek(2)
+    while start.startswith(_JPEG) and len(head := file.read(4)) == 4:
+        if 0xC0 <= head[1] <= 0xCF and head[1] not in (0xC4, 0xC8, 0xCC):
+            return struct.unpack(">xHH", file.read(5))
+        file.seek(int.from_bytes(head[2:], "big") - 2, os.SEEK_CUR)
+    return 0, 0
+
+
 class StillPicture(Pictures):
     """One image in a file.
 
     Parameters
     ----------
     path : str
+    budget : Budget
     """
 
-    def __init__(self, path: str) -> None:
-        self._path = path
+    def __init__(self, path: str, budget: Budget) -> None:
+        self._path, self._budget = path, budget
         with Path(path).open("rb") as file:
             start = file.read(1024)
         stated = _PGM.match(start)
         self.facts = PictureFacts(
             kind="image", count=1, lossy="JPEG" if start.startswith(_JPEG) else None,
-            full_scale_dn=int(stated[1]) if stated else None)
+            full_scale_dn=int(stated[3]) if stated else None)
 
     def images(self, first: int = 0) -> Images:
         """Iterate over the image; see `Pictures`."""
         if first:
             return
         cv2 = opencv()
+        with Path(self._path).open("rb") as file:
+            width, height = _sides(file)
+        self._budget.piece(_PIXEL * width * height, f"{width}x{height} pixels")
         image = cv2.imread(self._path, cv2.IMREAD_UNCHANGED)
         if image is None:
             raise RecordingError(f"{self._path}: the image cannot be decoded")
@@ -79,7 +111,7 @@ class ArrayPictures(Pictures):
         self._path = path
         reader = FileReader(path)
         try:
-            array = stored_arrays(reader, lambda _: None)[""]
+            array = stored_arrays(reader, lambda _: None, Budget(path))[""]
         except Exception as error:  # NumPy raises anything for a damaged header
             raise RecordingError(
                 f"{path}: not an array that can be read: {error}") from None

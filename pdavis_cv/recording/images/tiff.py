@@ -22,6 +22,7 @@ from pdavis_cv.recording.images.pictures import (
     one_plane,
     readable,
 )
+from pdavis_cv.recording.limits import Budget
 
 __all__ = ["TiffPictures"]
 
@@ -47,6 +48,8 @@ class TiffPictures(Pictures):
     Parameters
     ----------
     path : str
+    budget : Budget, optional
+        Default: one of the file's own.
 
     Attributes
     ----------
@@ -61,8 +64,8 @@ class TiffPictures(Pictures):
         If the file is damaged, or its axes are not times and four channels.
     """
 
-    def __init__(self, path: str) -> None:
-        self._path = path
+    def __init__(self, path: str, budget: Budget | None = None) -> None:
+        self._path, self._budget = path, budget or Budget(path)
         # Some writers describe each page alone: a stack of pages all the same.
         self._alone = False
         with self._opened() as tiff, readable(path, "TIFF"):
@@ -84,6 +87,7 @@ class TiffPictures(Pictures):
 
     def _describe(self, tiff: Any, series: Any) -> None:
         page = series.keyframe
+        self._budget.piece(page.nbytes, "a page")
         axes, shape = _labelled(series, tiff.is_imagej)
         size = {axis: math.prod(n for a, n in zip(axes, shape, strict=True)
                                 if a == axis) for axis in "TZCS"}

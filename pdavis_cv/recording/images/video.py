@@ -17,6 +17,7 @@ from pdavis_cv.recording.images.pictures import (
     Pictures,
     readable,
 )
+from pdavis_cv.recording.limits import Budget
 
 __all__ = ["VideoPictures"]
 
@@ -24,6 +25,8 @@ _COUNTED = ("matroska", "mov")
 """Containers that give each image a block with its time."""
 _NO_TIMES = 0x80
 """FFmpeg's AVFMT_NOTIMESTAMPS."""
+_DECODER = 8
+"""Bytes that a decoder takes for each pixel of its images."""
 _FULL_RANGE = 2
 """FFmpeg's AVCOL_RANGE_JPEG."""
 _GREY_CHROMA = 4
@@ -41,6 +44,7 @@ class VideoPictures(Pictures):
     path : str
     log : ProblemLog
         Receives what is damaged.
+    budget : Budget
 
     Raises
     ------
@@ -50,8 +54,8 @@ class VideoPictures(Pictures):
         If it is not a video, or not grey.
     """
 
-    def __init__(self, path: str, log: ProblemLog) -> None:
-        self._path, self._log = path, log
+    def __init__(self, path: str, log: ProblemLog, budget: Budget) -> None:
+        self._path, self._log, self._budget = path, log, budget
         with self._opened() as (container, stream):
             codec = stream.codec_context
             name = codec.codec.canonical_name
@@ -104,6 +108,10 @@ class VideoPictures(Pictures):
                 raise RecordingError(f"{self._path}: holds no video")
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
+            size = stream.width * stream.height
+            self._budget.piece(_DECODER * size, "decoding images of a video")
+            stream.codec_context.options = {"max_pixels": str(
+                self._budget.limits.memory // _DECODER)}
             yield container, stream
 
     def _times(self, container: Any, stream: Any) -> list[float]:

@@ -1,0 +1,267 @@
+"""Limits: files that would take memory or work out of proportion are refused."""
+import bz2
+import struct
+import subprocess
+import sys
+import warnings
+import zipfile
+import zlib
+from pathlib import Path
+
+import lz4.frame
+import numpy as np
+import pytest
+
+import pdavis_cv
+from pdavis_cv import Calibration, Limits, RecordingError, open_recording
+from pdavis_cv.recording.limits import Budget
+from pdavis_cv.recording.packetise import Batch, packetise
+
+EVENT = np.dtype([("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "u1"), ("pad", "V3")])
+BASE = 1_700_000_000_000_000
+ZSTD, LZ4 = 3, 1
+
+
+def aedat4(payloads, compression=0, kinds=("EVTS",)):
+    """Return an AEDAT-4 file of (stream, payload), made byte by byte."""
+    text = "".join(
+        f'<node name="{k}"><attr key="typeIdentifier">{kind}</attr><node name="info">'
+        '<attr key="sizeX">16</attr><attr key="sizeY">12</attr></node></node>'
+        for k, kind in enumerate(kinds))
+    text = f'<dv version="2.0"><node name="outInfo">{text}</node></dv>'.encode()
+    body = (struct.pack("<I4s5Hxx", 20, b"IOHE", 10, 20, 4, 8, 16)
+            + struct.pack("<iiqI", 12, compression, -1, 4)
+            + struct.pack("<I", len(text)) + text + b"\0")
+    return b"#!AER-DAT4.0\r\n" + struct.pack("<I", len(body)) + body + b"".join(
+        struct.pack("<ii", stream, len(data)) + data for stream, data in payloads)
+
+
+def events(t):
+    """Return the FlatBuffer of events at pixel (1, 1)."""
+    a = np.zeros(len(t), EVENT)
+    a["t"], a["x"], a["y"], a["p"] = t, 1, 1, 1
+    body = struct.pack("<I4s4H", 16, b"EVTS", 6, 8, 4, 0) + struct.pack(
+        "<iIII", 8, 8, 0, len(a)) + a.tobytes()
+    return struct.pack("<I", len(body)) + body
+
+
+def imu(count):
+    """Return the FlatBuffer of IMU samples that are all one table."""
+    head = struct.pack("<I4s4H", 16, b"IMUS", 6, 8, 4, 0) + struct.pack(
+        "<iII", 8, 4, count)
+    table = len(head) + 4 * count + 24
+    places = table - (len(head) + 4 * np.arange(count))
+    body = (head + places.astype("<u4").tobytes()
+            + struct.pack("<11H2x", 22, 40, 4, 12, 16, 20, 24, 28, 32, 36, 0)
+            + struct.pack("<iq7f", 24, BASE, *[1.0] * 7))
+    return struct.pack("<I", len(body)) + body
+
+
+def of_zstd(path):
+    zstandard = pytest.importorskip("zstandard")
+    one = zstandard.ZstdCompressor().compress(events(np.full(4_000_000, BASE)))
+    path.write_bytes(aedat4([(0, one)] * 30, ZSTD))
+
+
+def of_small_packets(path):
+    one = lz4.frame.compress(events(np.full(1_000_000, BASE)))
+    path.write_bytes(aedat4([(0, one)] * 300, LZ4))
+
+
+def of_imu(path):
+    path.write_bytes(aedat4([(0, events(BASE + np.arange(9))), (1, imu(20_000_000))],
+                            kinds=("EVTS", "IMUS")))
+
+
+def of_png(path, side=20_000):
+    def chunk(kind, data):
+        return (struct.pack(">I", len(data)) + kind + data
+                + struct.pack(">I", zlib.crc32(kind + data)))
+
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(
+        ">IIBBBBB", side, side, 8, 0, 0, 0, 0)) + chunk(b"IDAT", zlib.compress(
+            bytes(side * (side + 1)), 9)) + chunk(b"IEND", b""))
+
+
+def of_header(path):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open(
+            "t.npy", "w", force_zip64=True) as file:
+        file.write(b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**32 - 1))
+        for _ in range(3):
+            file.write(b" " * (1 << 26))
+
+
+def of_columns(path):
+    np.savez_compressed(path, **{name: np.zeros(30_000_000, kind) for name, kind in (
+        ("t", "i8"), ("x", "u2"), ("y", "u2"), ("p", "u1"))})
+
+
+def of_bag(path, compression=b"bz2"):
+    pytest.importorskip("rosbags")
+
+    def record(fields, data):
+        head = b"".join(struct.pack("<I", len(k) + 1 + len(v)) + k + b"=" + v
+                        for k, v in fields)
+        return struct.pack("<I", len(head)) + head + struct.pack("<I", len(data)) + data
+
+    def number(value):
+        return struct.pack("<I", value)
+
+    raw = record([(b"op", b"\x02"), (b"conn", number(0)), (b"time", bytes(8))], b"0")
+    if compression == b"bz2":
+        packer = bz2.BZ2Compressor()
+        packed = b"".join([packer.compress(raw), *(
+            packer.compress(bytes(1 << 24)) for _ in range(60)), packer.flush()])
+    else:
+        packed = lz4.frame.compress(raw + bytes(1 << 30))
+    chunk = record([(b"op", b"\x05"), (b"compression", compression),
+                    (b"size", number(1000))], packed)
+    index = record([(b"op", b"\x04"), (b"ver", number(1)), (b"conn", number(0)),
+                    (b"count", number(1))], struct.pack("<QI", 0, 0))
+    about = b"".join(number(len(one)) + one for one in (
+        b"topic=/e", b"type=dvs_msgs/EventArray", b"md5sum=0", b"message_definition=x"))
+    connection = record([(b"op", b"\x07"), (b"conn", number(0)), (b"topic", b"/e")],
+                        about)
+    magic = b"#ROSBAG V2.0\n"
+    known = [(b"op", b"\x03"), (b"conn_count", number(1)), (b"chunk_count", number(1)),
+             (b"index_pos", bytes(8))]
+    at = len(magic) + len(record(known, b""))
+    known[3] = b"index_pos", struct.pack("<Q", at + len(chunk) + len(index))
+    path.write_bytes(magic + record(known, b"") + chunk + index + connection + record(
+        [(b"op", b"\x06"), (b"ver", number(1)), (b"chunk_pos", struct.pack("<Q", at)),
+         (b"start_time", bytes(8)), (b"end_time", bytes(8)), (b"count", number(1))],
+        number(0) + number(1)))
+
+
+def of_hdf5(path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        file.create_dataset("events", (66_000_000, 4), "<i8", chunks=(33_000_000, 1),
+                            compression="gzip", fillvalue=3)
+
+
+BOMBS = {"zstd.aedat4": (of_zstd, "ratio"), "lz4.aedat4": (of_small_packets, "memory"),
+         "imu.aedat4": (of_imu, "memory"), "bomb.png": (of_png, "memory"),
+         "header.npz": (of_header, "a header of 4294967295 bytes"),
+         "columns.npz": (of_columns, "ratio"), "bz2.bag": (of_bag, "ratio"),
+         "lz4.bag": (lambda path: of_bag(path, b"lz4"), "memory"),
+         "chunk.h5": (of_hdf5, "ratio")}
+READ = """
+import sys, warnings
+import pdavis_cv
+warnings.simplefilter("ignore")
+try:
+    with pdavis_cv.open_recording(sys.argv[1], **({"layout": "sony"} if sys.argv[
+            1].endswith("png") else {})) as recording:
+        for _ in recording.packets():
+            pass
+        recording.events()
+except pdavis_cv.RecordingError as error:
+    taken = open("/proc/self/status").read().partition("VmHWM:")[2].split()[0]
+    print(int(taken) >> 10, error)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells it")
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_bomb_is_refused_and_takes_no_memory(name, tmp_path):
+    build, said = BOMBS[name]
+    build(tmp_path / name)
+    done = subprocess.run([sys.executable, "-P", "-c", READ, str(tmp_path / name)],
+                          capture_output=True, text=True, timeout=120, check=True)
+    megabytes, _, message = done.stdout.partition(" ")
+    assert said in message
+    assert (f"limits=Limits({said}=...)" in message) == (said in ("ratio", "memory"))
+    assert int(megabytes) < 100 + 512 + 512
+
+
+@pytest.mark.parametrize("path", ["/dev/zero", "zeros"])
+def test_a_calibration_is_not_read_before_it_is_known(path, tmp_path):
+    if path == "zeros":
+        path = tmp_path / "zeros"
+        with path.open("wb") as file:
+            file.truncate(6 << 30)
+    with pytest.raises(pdavis_cv.CalibrationError, match="not a calibration file"):
+        Calibration.load(path)
+
+
+def test_a_limit_can_be_raised_and_lowered(tmp_path):
+    path = tmp_path / "a.aedat4"
+    one = lz4.frame.compress(events(np.full(2_000_000, BASE)))
+    path.write_bytes(aedat4([(0, one)], LZ4))
+    with pytest.raises(RecordingError, match=r"a packet of .* ratio=100 allows"):
+        open_recording(path)
+    with open_recording(path, limits=Limits(ratio=300)) as recording:
+        assert len(recording.events()) == 2_000_000
+    with pytest.raises(RecordingError, match="memory=1e"):
+        open_recording(path, limits=Limits(ratio=300, memory=10**7))
+
+
+def test_times_may_not_lie_further_apart_than_the_limit(tmp_path):
+    path = tmp_path / "a.aedat4"
+    path.write_bytes(aedat4([(0, events(BASE + np.arange(2) * 10**9))]))
+    with open_recording(path, limits=Limits(time_span=10**8)) as recording:
+        with pytest.raises(RecordingError, match="time_span=1e"):
+            list(recording.packets())
+    with open_recording(path) as recording:
+        assert sum(len(packet.events) for packet in recording.packets()) == 2
+
+
+@pytest.mark.parametrize(("suffix", "step"), [("aedat4", 24), ("aedat", 60)])
+def test_what_is_searched_grows_with_the_file(suffix, step, tmp_path, monkeypatch):
+    """Each packet says that it reaches to the end of the file."""
+    def searched(count):
+        path = tmp_path / f"{count}.{suffix}"
+        if suffix == "aedat4":
+            data = aedat4([], LZ4) + b"".join(
+                struct.pack("<ii", 0, k * step - 8) + b"\x04\x22\x4d\x18"
+                + bytes(step - 12) for k in range(count, 0, -1))
+        else:
+            data = b"#!AER-DAT3.1\r\n#Source 1: DAVIS346\r\n#!END-HEADER\r\n"
+            for k in range(count, 0, -1):
+                n = (k * step - 28) // 8
+                data += struct.pack("<hhiiiiii", 1, 1, 8, 4, 0, n, n, n) + bytes(
+                    step - 28)
+        path.write_bytes(data)
+        found, looked = Budget.search, []
+        monkeypatch.setattr(Budget, "search", lambda self, at, size: (
+            looked.append(size), found(self, at, size)))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", pdavis_cv.DamagedFileWarning)
+            recording = open_recording(path)
+            if suffix == "aedat":       # a reading searches, opening has searched
+                looked.clear()
+            list(recording.packets())
+        monkeypatch.undo()
+        return sum(looked) / len(data)
+
+    assert searched(400) <= 8
+    assert searched(1600) <= 8
+
+
+def test_a_search_beyond_the_limit_is_an_error(tmp_path):
+    path = tmp_path / "a"
+    path.write_bytes(bytes(1000))
+    budget = Budget(path, Limits(work_per_byte=2))
+    for _ in range(4):
+        budget.search(0, 1 << 18)
+    with pytest.raises(RecordingError, match="work_per_byte=2 allows"):
+        budget.search(1, 1 << 18)
+    budget.search(0, 1)     # of another reading
+
+
+def test_frames_far_ahead_of_the_events_are_not_kept(tmp_path):
+    path = tmp_path / "a"
+    path.write_bytes(b"")
+    frame = pdavis_cv.ApsFrame(np.zeros((100, 100), np.float32), 10**6, 10**6)
+    batches = (Batch(frames=[frame], complete_us=0) for _ in range(1000))
+    with pytest.raises(RecordingError, match="wait for earlier ones"):
+        list(packetise(batches, budget=Budget(path, Limits(memory=10**7))))
+
+
+@pytest.mark.parametrize(("wrong", "error"), [
+    ({"memory": 0}, ValueError), ({"ratio": "3"}, TypeError), ({"files": 1}, TypeError),
+    ({"time_span": float("nan")}, ValueError)])
+def test_limits_are_checked(wrong, error):
+    with pytest.raises(error):
+        Limits(**wrong)
