@@ -155,20 +155,9 @@ cdef inline double end_level(cell_t *c, config_t *cfg, double v1) noexcept nogil
     return filtered(c, 1.0)
 
 
-cdef inline double monotone(double slope, double rise) noexcept nogil:
-    """Limit a cubic's slope at an end, so that it is monotonic [Fritsch and Carlson].
-
-    Slopes of log light that is linear are unlimited where it vanishes; the limit acts
-    where light changes by a factor of 7 or more in an interval.
-    """
-    cdef double most = 3 * fabs(rise)
-    return most if slope > most else -most if slope < -most else slope
-
-
 cdef inline void begin(cell_t *c, config_t *cfg, pixel_t_ *p, double light1, double v1,
-                       double d0, double d1, double m0, double m1,
-                       int linear) noexcept nogil:
-    """Set up the interval from the node's light to light1, which may be linear.
+                       double d0, double d1, double m0, double m1) noexcept nogil:
+    """Set up the interval from the node's light to light1.
 
     d0 and d1 are the slopes of light, m0 and m1 those of its log.
     """
@@ -200,9 +189,6 @@ cdef inline void begin(cell_t *c, config_t *cfg, pixel_t_ *p, double light1, dou
         m1 = m1 * c.phi / (c.cutoff + c.slope * light1)
     c.series = c.phi < SERIES
     dv = v1 - c.v0
-    if linear:
-        c.m0 = monotone(c.m0, dv)
-        m1 = monotone(m1, dv)
     c.b = 3 * dv - 2 * c.m0 - m1
     c.e = c.m0 + m1 - 2 * dv
 

@@ -97,10 +97,9 @@ def pixel_events(const double[:, ::1] light not None,
 
     light and slope are (K + 1, N), the light of each pixel at the nodes; with analyser
     (N, 3) they are (K + 1, 3), Stokes parameters that all pixels share.  slope is per
-    interval; if it has no rows, light is linear between nodes.  pixels (N, 3) holds ON
-    and OFF thresholds and leak, places (N, 2) x and y, state (N, 6) the filtered log,
-    the reference, the end of the refractory period, the next noise candidate, the light
-    and its log at the first node.
+    interval.  pixels (N, 3) holds ON and OFF thresholds and leak, places (N, 2) x and
+    y, state (N, 6) the filtered log, the reference, the end of the refractory period,
+    the next noise candidate, the light and its log at the first node.
     Returns (index of the first pixel not done, number of events): a pixel whose events
     do not fit into out is not done.
     """
@@ -114,11 +113,10 @@ def pixel_events(const double[:, ::1] light not None,
     cdef int burst_p = 0, shared = analyser is not None
     cdef int known, direct, still, known_ahead, passed
     cdef Py_ssize_t before, at, ahead = 0
-    cdef int linear = slope.shape[0] == 0
     cdef nodes_t nodes
     m = 3 if shared else n
     if (k < 0 or light.shape[1] != m
-            or (not linear and (slope.shape[0] != k + 1 or slope.shape[1] != m))
+            or slope.shape[0] != k + 1 or slope.shape[1] != m
             or pixels.shape[1] != 3 or keys.shape[0] != n or places.shape[0] != n
             or places.shape[1] != 2 or state.shape[0] != n or state.shape[1] != 6
             or counters.shape[0] != n or settings.shape[0] != 13
@@ -134,7 +132,7 @@ def pixel_events(const double[:, ::1] light not None,
     sink.n = 0
     sink.full = 0
     # Several pixels are computed at once if the log is needed at every node.
-    cdef int together = not (shared or linear or cfg.unfiltered) and k < NODES
+    cdef int together = not (shared or cfg.unfiltered) and k < NODES
     with nogil:
         for i in range(start, stop):
             if together and (i - start) % BESIDE == 0:
@@ -195,18 +193,14 @@ def pixel_events(const double[:, ::1] light not None,
                 elif shared:
                     light1 = cfg.dark + analyser[i, 0] * light[j, 0] + (
                         analyser[i, 1] * light[j, 1] + analyser[i, 2] * light[j, 2])
-                    if not linear:
-                        d1 = analyser[i, 0] * slope[j, 0] + (
-                            analyser[i, 1] * slope[j, 1] + analyser[i, 2] * slope[j, 2])
+                    d1 = analyser[i, 0] * slope[j, 0] + (
+                        analyser[i, 1] * slope[j, 1] + analyser[i, 2] * slope[j, 2])
                 else:
                     light1 = cfg.dark + light[j, i]
-                    if not linear:
-                        d1 = slope[j, i]
+                    d1 = slope[j, i]
                 if not together and light1 < FAINT:
                     light1 = FAINT
                     d1 = 0
-                if linear:
-                    d0 = d1 = light1 - p.light
                 if j == 0:
                     if light1 != p.light:
                         p.light = light1
@@ -241,7 +235,7 @@ def pixel_events(const double[:, ::1] light not None,
                     if not cfg.unfiltered:
                         m0 = d0 / p.light
                         m1 = d1 / light1
-                begin(&c, &cfg, &p, light1, v1, d0, d1, m0, m1, linear)
+                begin(&c, &cfg, &p, light1, v1, d0, d1, m0, m1)
                 last = end_level(&c, &cfg, v1)
                 if not (still and no_crossing(&c, &p, last)):
                     before = sink.n

@@ -32,19 +32,18 @@ def read_out(events, until, event_us, row_us, size):
     return np.array(out, events.dtype), lost
 
 
-def video_pixel(light, step_us, cutoff_hz, on, off, leak_hz):
-    """Events of one pixel whose light is linear between light[k] at k step_us.
+def filtered_pixel(light, cutoff_hz, on, off, leak_hz):
+    """Events of one pixel from its light at each microsecond.
 
     The low-pass of its log, taken as linear over each microsecond.
     """
-    n = (len(light) - 1) * step_us
-    v = np.log(np.interp(np.arange(n + 1) / step_us, np.arange(len(light)), light))
+    v = np.log(light)
     phi = 2e-6 * math.pi * cutoff_hz
     decay = math.exp(-phi)
     ramp = 1 - (1 - decay) / phi
     seen, _ = lfilter([ramp, 1 - decay - ramp], [1, -decay], v - v[0],
                       zi=np.zeros(1))
-    seen += leak_hz * on * 1e-6 * np.arange(n + 1)
+    seen += leak_hz * on * 1e-6 * np.arange(len(v))
     reference, found = 0.0, []
     for t, y in enumerate(seen):
         while y >= reference + on or y <= reference - off:

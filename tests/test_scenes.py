@@ -17,7 +17,6 @@ from pdavis_cv.simulation import (
     Tendon,
     Texture,
     Truth,
-    VideoScene,
 )
 
 
@@ -214,43 +213,6 @@ def test_users_function_equals_the_scene_that_it_copies():
         (a, f), (b, g) = (drain(camera.record(s, 0.1)[0]) for s in (scene, own))
         np.testing.assert_array_equal(a, b)
         np.testing.assert_array_equal(f[0].reset, g[0].reset)
-
-
-def test_video_is_linear_between_its_frames():
-    rng = np.random.default_rng(0)
-    quad = rng.uniform(10, 40, (8, 4, 4, 6))
-    video = VideoScene(quad, fps=125.0, origin=(0, 0))
-    s0, s1, s2 = video.stokes(12_000, 3, 2)
-    middle = (quad[1, :, 2, 3] + quad[2, :, 2, 3]) / 2
-    np.testing.assert_allclose(
-        [s0, s1, s2],
-        [middle.sum() / 2, middle[0] - middle[2], middle[1] - middle[3]])
-    camera = Camera.preset("ideal", size=(4, 6), origin=(0, 0))
-    recording, truth = camera.record(video, 0.06)
-    events, frames = drain(recording)
-    # An ideal pixel's log intensity is within one threshold of its summed events.
-    analyser = camera.maps["analyser"]
-    t = np.arange(0, 56_000, 50)
-    light = np.tensordot(analyser, np.stack(truth.scene.stokes(
-        t[:, None, None], np.arange(6)[None, :], np.arange(4)[:, None])), (2, 0))
-    for y in range(4):
-        for x in range(6):
-            mine = events[(events["y"] == y) & (events["x"] == x)]
-            summed = np.concatenate(
-                ([0], np.cumsum(np.where(mine["p"] == 1, 0.15, -0.15))))
-            behind = summed[np.searchsorted(mine["t"], t, "right")]
-            exact = np.log(light[y, x, :, y, x] / light[y, x, 0, y, x])
-            assert np.max(np.abs(exact - behind)) < 0.151
-    exposed = np.mean(light[1, 2, (t >= 0) & (t < 20_000), 1, 2]) * 20
-    assert frames[0].dn[1, 2] == pytest.approx(exposed, rel=0.01)
-
-
-def test_video_must_cover_the_camera():
-    video = VideoScene(np.ones((2, 4, 4, 4)), fps=100.0)
-    with pytest.raises(ValueError, match=r"4x4 pixels .* must cover the camera's"):
-        Camera.preset("ideal", size=(6, 6), origin=(0, 0)).record(video, 0.02)
-    with pytest.raises(ValueError, match=r"quad must have shape \(N, 4, H, W\)"):
-        VideoScene(np.ones((2, 3, 4, 4)), fps=100.0)
 
 
 @pytest.mark.parametrize(("make", "name"), [

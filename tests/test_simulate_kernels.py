@@ -8,7 +8,7 @@ from streams import random_events
 
 from pdavis_cv import _kernels
 from pdavis_cv.events import EVENT_DTYPE
-from pdavis_cv.simulation import Camera, VideoScene, noise
+from pdavis_cv.simulation import Camera, FunctionScene, noise
 
 
 def shuffled(n, shape=(5, 7), seed=0):
@@ -101,7 +101,8 @@ def pixel_arguments(n=6, intervals=3):
     state[:, 2] = -np.inf
     settings = np.array([1000.0, 0, 1, 0, 0, 0, 0.25, 51, 0, 200, 0, 0, 0])
     return {
-        "light": light, "slope": np.empty((0, n)), "analyser": None,
+        "light": light, "slope": np.full((intervals + 1, n), -20.0 / intervals),
+        "analyser": None,
         "pixels": np.tile([0.1, 0.1, 0.0], (n, 1)), "keys": np.arange(n, dtype="u8"),
         "edges": np.empty(0), "first_edge": 0, "settings": settings,
         "places": np.stack((np.arange(n), np.zeros(n)), 1).astype("u2"),
@@ -109,7 +110,7 @@ def pixel_arguments(n=6, intervals=3):
         "out": np.empty(500, EVENT_DTYPE)}
 
 
-def test_pixel_events_of_linear_light_are_where_light_passes_the_levels():
+def test_pixel_events_of_falling_light_are_where_light_passes_the_levels():
     arguments = pixel_arguments()
     done, made = _kernels.pixel_events(*arguments.values())
     assert done == 6
@@ -152,33 +153,41 @@ def test_pixel_events_refuse_an_interval_of_no_time():
         _kernels.pixel_events(*arguments.values())
     with pytest.raises(ValueError, match="analyser must be"):
         _kernels.pixel_events(*(pixel_arguments() | {
-            "light": np.ones((4, 3)), "analyser": np.ones((6, 2))}).values())
+            "light": np.ones((4, 3)), "slope": np.ones((4, 3)),
+            "analyser": np.ones((6, 2))}).values())
 
 
-def film(seed=0, n=12, size=(4, 6)):
+def waves(seed=0):
+    """Return light of its own on each pixel, a sum of waves of 30 to 300 Hz."""
     rng = np.random.default_rng(seed)
-    steps = np.cumsum(rng.normal(0, 0.1, (n, 4, *size)), 0)
-    return np.exp(2 + steps)
+    rate, phase = rng.uniform(2e-4, 2e-3, (3, 5)), rng.uniform(0, 6, (3, 5))
+
+    def light(t_us, x, y):
+        s0, s1, s2 = (sum(np.sin(k * t_us + p + 1.7 * (i + 1) * x + (2 - i) * y)
+                          for i, (k, p) in enumerate(zip(*each, strict=True))) / 5
+                      for each in zip(rate, phase, strict=True))
+        s0 = np.exp(3 + 1.5 * s0)
+        return s0, 0.6 * s0 * s1, 0.6 * s0 * s2
+
+    return FunctionScene(light, sampling_us=50.0)
 
 
 @pytest.mark.parametrize(("cutoff_hz", "leak_hz"), [(100.0, 0.0), (400.0, 20.0)])
-def test_events_of_a_video_match_reference(cutoff_hz, leak_hz):
-    quad = film(n=22)
+def test_events_of_waves_match_reference(cutoff_hz, leak_hz):
     camera = Camera.preset("ideal", size=(4, 6), origin=(0, 0), aps=None, dvs={
         "cutoff_hz": cutoff_hz, "leak_hz": leak_hz, "theta_off": 0.12})
-    stream = camera.stream(VideoScene(quad, fps=1000.0), 0.021)
-    events = np.concatenate([packet.events for packet in stream.packets()])
-    s0 = quad.sum(1) / 2
-    stokes = np.stack((s0, quad[:, 0] - quad[:, 2], quad[:, 1] - quad[:, 3]), -1)
-    light = np.einsum("nhwc,hwc->nhw", stokes, camera.maps["analyser"])
+    scene = waves()
+    events = np.concatenate([
+        packet.events for packet in camera.stream(scene, 0.021).packets()])
+    t = np.arange(21_001.0)
     found = 0
     for y in range(4):
         for x in range(6):
             mine = events[(events["y"] == y) & (events["x"] == x)]
-            want = reference.video_pixel(light[:, y, x], 1000, cutoff_hz, 0.15, 0.12,
-                                         leak_hz)
+            light = camera.maps["analyser"][y, x] @ np.array(scene.stokes(t, x, y))
+            want = reference.filtered_pixel(light, cutoff_hz, 0.15, 0.12, leak_hz)
             np.testing.assert_array_equal(mine["p"], [p for _, p in want])
-            # The twin sees a crossing up to 1 us late; log light is a cubic here.
+            # The twin sees a crossing up to 1 us late.
             assert np.all(np.abs(mine["t"] - [t for t, _ in want]) <= 1.5)
             found += len(want)
     assert found > 30
@@ -187,22 +196,23 @@ def test_events_of_a_video_match_reference(cutoff_hz, leak_hz):
 @pytest.mark.parametrize("dvs", [
     {"cutoff_hz": 250.0}, {"cutoff_hz_per_dn_ms": 8.0}, {"cutoff_hz": None},
     {"cutoff_hz": 250.0, "second_pole_hz": 2000.0}])
-def test_a_video_that_turns_black_and_back_passes_each_level_once(dvs):
-    quad = np.array([30.0, 0.0, 30.0, 30.0, 30.0])[:, None, None, None]
-    scene = VideoScene(np.broadcast_to(quad / 2, (5, 4, 2, 2)), fps=2.0)
+def test_light_that_turns_black_and_back_passes_each_level_once(dvs):
+    def light(t_us, x, y):
+        s0 = 15 * (1 + np.cos(2 * np.pi * np.minimum(t_us / 1e6, 1))) + 0 * (x + y)
+        return s0, 0 * s0, 0 * s0
+
     camera = Camera.preset("ideal", size=(2, 2), origin=(0, 0), aps=None, dvs=dvs)
-    recording, _ = camera.record(scene, 2.0)
+    recording, _ = camera.record(FunctionScene(light, sampling_us=2000.0), 2.0)
     levels = np.log(30.0 / 2 / 1e-9) // 0.15    # 1e-9 is the least light
     off, on = np.bincount(recording.events()["p"], minlength=2) / 4
     assert abs(on - off) <= 1
     assert 20 < off <= levels
 
 
-def test_threads_leave_the_events_of_a_video_and_their_order():
-    scene = VideoScene(film(9, 21, (52, 18)), fps=1000.0)
+def test_threads_leave_the_events_of_waves_and_their_order():
     camera = Camera.preset("nominal", size=(52, 18), origin=(0, 0), seed=1)
     found = [np.concatenate([piece.events for piece in camera.stream(
-        scene, 0.02, threads=threads).pieces()]) for threads in (1, 2, 3)]
+        waves(9), 0.02, threads=threads).pieces()]) for threads in (1, 2, 3)]
     assert len(found[0]) > 1000
     for events in found[1:]:
         np.testing.assert_array_equal(events, found[0])

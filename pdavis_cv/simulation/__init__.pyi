@@ -19,7 +19,6 @@ from .patterns import (
     FunctionScene as FunctionScene,
     Tendon as Tendon,
     Texture as Texture,
-    VideoScene as VideoScene,
 )
 from .scenes import (
     FULL as FULL,

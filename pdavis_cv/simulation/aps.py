@@ -254,7 +254,6 @@ class FrameClock:
 
     def weights(
         self, frame: int, start_us: float, step_us: float, intervals: int,
-        linear: bool,
     ) -> FloatArray:
         """Quadrature weights of light at the nodes for a frame's exposure integral.
 
@@ -264,17 +263,16 @@ class FrameClock:
             Number of the frame.
         start_us, step_us, intervals : float, float, int
             Nodes lie at start_us + k step_us, k = 0..intervals.
-        linear : bool
-            Light is linear between nodes; else a cubic Hermite spline with the slopes
-            of `node_slopes`, for which two more nodes at each end get weights.
 
         Returns
         -------
-        ndarray of float64, shape (nodes, 1) or (nodes, W)
-            Per column where columns differ; DN = sum of weights times DN per ms.
+        ndarray of float64, shape (intervals + 5, 1) or (intervals + 5, W)
+            Per column where columns differ; DN = sum of weights times DN per ms.  Light
+            is a cubic Hermite spline with the slopes of `node_slopes`, for which two
+            more nodes at each end get weights.
         """
         start, end = self.exposure(frame)
-        return integral_weights(start, end, start_us, step_us, intervals, linear)
+        return integral_weights(start, end, start_us, step_us, intervals)
 
 
 def node_slopes(light: FloatArray) -> FloatArray:
@@ -286,17 +284,15 @@ def node_slopes(light: FloatArray) -> FloatArray:
 
 def integral_weights(
     start: FloatArray, end: FloatArray, origin_us: float, step_us: float,
-    intervals: int, linear: bool,
+    intervals: int,
 ) -> FloatArray:
     """Weights of node values in the integral from start to end; see `FrameClock`."""
     if np.all(end <= origin_us) or np.all(start >= origin_us + step_us * intervals):
-        return np.zeros((intervals + (1 if linear else 5), len(start)))
+        return np.zeros((intervals + 5, len(start)))
     left = np.clip((start - origin_us) / step_us - np.arange(intervals)[:, None], 0, 1)
     right = np.clip((end - origin_us) / step_us - np.arange(intervals)[:, None], 0, 1)
 
     def basis(s: FloatArray) -> tuple[FloatArray, ...]:
-        if linear:
-            return s - s**2 / 2, s**2 / 2
         return (s - s**3 + s**4 / 2, s**3 - s**4 / 2,
                 s**2 / 2 - s**3 * (2 / 3) + s**4 / 4, s**4 / 4 - s**3 / 3)
 
@@ -305,8 +301,6 @@ def integral_weights(
     values = np.zeros((intervals + 1, columns))
     values[:-1] += part[0]
     values[1:] += part[1]
-    if linear:
-        return values * (step_us / 1000)
     slopes = np.zeros((intervals + 1, columns))
     slopes[:-1] += part[2]
     slopes[1:] += part[3]

@@ -244,7 +244,6 @@ class PixelArray:
         light, slope : ndarray of float64, shape (K + 1, rows * W) or (K + 1, 3)
             Light on each pixel at the nodes in DN per ms, and its change per
             interval; or with ``analyser`` the same of S0, S1, S2, for all pixels.
-            A slope without rows makes light linear between nodes.
         analyser : ndarray of float64, shape (rows * W, 3), optional
             Response of each pixel to S0, S1, S2.
         rows : slice
@@ -298,13 +297,8 @@ class PixelArray:
         total = np.maximum(light + dark, 1e-9)
         log = np.log(total)
         rise = np.diff(log, axis=0)
-        if len(slope):
-            ends = slope / total
-            first, last = ends[:-1], ends[1:]
-        else:  # linear light: its own slope at both ends, as `monotone` limits it
-            change, most = np.diff(light, axis=0), 3 * np.abs(rise)
-            first, last = (np.clip(change / at, -most, most)
-                           for at in (total[:-1], total[1:]))
+        ends = slope / total
+        first, last = ends[:-1], ends[1:]
         phi = 2e-6 * math.pi * (self.pixel.second_pole_hz or 0.0) * step_us
         weights = lag_weights(phi)
         cubic = np.stack((log[:-1], first, 3 * rise - 2 * first - last,

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import MOST_ANGLE, MOST_SIDE, place, whole_number
-from pdavis_cv.sensor import CHANNELS, Sensor
+from pdavis_cv._checks import MOST_ANGLE, MOST_SIDE, place
+from pdavis_cv.sensor import Sensor
 from pdavis_cv.simulation import noise
 from pdavis_cv.simulation.checks import (
     MOST_HZ,
@@ -34,7 +34,7 @@ from pdavis_cv.simulation.scenes import (
     step_of,
 )
 
-__all__ = ["Fan", "FunctionScene", "Tendon", "Texture", "VideoScene"]
+__all__ = ["Fan", "FunctionScene", "Tendon", "Texture"]
 
 _MIDDLE = ((Sensor.PDAVIS.size[1] - 1) / 2, (Sensor.PDAVIS.size[0] - 1) / 2)
 # exp(2i angle) of the polarizers in sectors -12..5: azimuth (-3..3 sectors) less turn
@@ -46,8 +46,6 @@ _EDGE_SAMPLES = 16      # while a soft edge passes a pixel at the rim
 _MOST_WAVES = 1024
 _MOST_PX_S = 1e6        # a pixel per tick of the clock
 _LEAST_PX = 0.01        # shortest structure of a scene: a hundredth of a pixel
-_LEAST_FPS = 1e-12      # a frame lasts at most the range of times, 2**61 us
-_MOST_FPS = 1e6         # a frame per tick of the clock
 
 
 def smooth_edge(u: FloatArray) -> FloatArray:
@@ -454,75 +452,3 @@ class FunctionScene(Scene):
     def step_us(self) -> float:
         """``sampling_us``."""
         return self.sampling_us
-
-
-class VideoScene(Scene):
-    """A scene from a video of the intensities behind four ideal analysers.
-
-    Intensity is linear in time between frames: where the light is smooth, the error
-    is at most interval^2 / 8 times its largest second derivative.  Before the first and
-    after the last frame the light is constant.
-
-    Parameters
-    ----------
-    quad : array_like of numbers, shape (N, 4, H, W)
-        I0, I45, I90, I135 in DN per ms; a memory map will do.
-    fps : float
-        Frames per second, 1e-12 to 1e6; frame k is the light at k / fps.
-    origin : (int, int)
-        (row, column) on the sensor of the video's first pixel, within 65,536 of 0.
-    """
-
-    linear = True
-
-    def __init__(self, quad: ArrayLike, fps: float, origin: tuple[int, int] = (0, 0)
-                 ) -> None:
-        within(_LEAST_FPS, _MOST_FPS, fps=fps)
-        self.quad = np.asanyarray(quad)
-        require("quad", self.quad.dtype, self.quad.dtype.kind in "biuf",
-                "be real numbers")
-        require("quad", self.quad.shape,
-                self.quad.ndim == 4 and self.quad.shape[1] == len(CHANNELS)
-                and self.quad.shape[0] > 0, "have shape (N, 4, H, W)")
-        row, column = place("origin", origin)
-        self.origin = (whole_number("origin", row, -MOST_SIDE, MOST_SIDE),
-                       whole_number("origin", column, -MOST_SIDE, MOST_SIDE))
-        self.fps = float(fps)
-
-    @property
-    def step_us(self) -> float:
-        """Interval of the video."""
-        return 1e6 / self.fps
-
-    def times_us(self, start_us: float, stop_us: float) -> FloatArray:
-        """Return the times of frames strictly between start and stop."""
-        first = math.floor(start_us * self.fps / 1e6) + 1
-        last = min(math.ceil(stop_us * self.fps / 1e6) - 1, len(self.quad) - 1)
-        return np.arange(first, last + 1, dtype=np.float64) * (1e6 / self.fps)
-
-    def check_covers(self, origin: tuple[int, int], size: tuple[int, int]) -> None:
-        """Raise ValueError unless the video has these pixels of the sensor."""
-        height, width = self.quad.shape[2:]
-        row, column = origin[0] - self.origin[0], origin[1] - self.origin[1]
-        if not (0 <= row <= height - size[0] and 0 <= column <= width - size[1]):
-            raise ValueError(
-                f"the video's {width}x{height} pixels from row {self.origin[0]}, "
-                f"column {self.origin[1]} on must cover the camera's, got "
-                f"{size[1]}x{size[0]} from row {origin[0]}, column {origin[1]} on")
-
-    def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
-        """S0, S1, S2 in DN per ms; places are rounded to pixels of the video."""
-        at = np.clip(np.asarray(t_us, np.float64) * (self.fps / 1e6), 0,
-                     len(self.quad) - 1)
-        k = np.minimum(at.astype(np.intp), max(len(self.quad) - 2, 0))
-        after = np.minimum(k + 1, len(self.quad) - 1)
-        rows, columns = (np.rint(a).astype(np.intp) for a in (y, x))
-        first = int(np.min(rows)), int(np.min(columns))
-        self.check_covers(first, (int(np.max(rows)) - first[0] + 1,
-                                  int(np.max(columns)) - first[1] + 1))
-        rows, columns = rows - self.origin[0], columns - self.origin[1]
-        part = at - k
-        i0, i45, i90, i135 = (
-            self.quad[k, c, rows, columns] * (1 - part)
-            + self.quad[after, c, rows, columns] * part for c in range(4))
-        return (i0 + i45 + i90 + i135) / 2, i0 - i90, i45 - i135

@@ -46,19 +46,15 @@ _PHASE = 0.04  # radians per sample of the fastest Stokes component
 
 
 class Scene(ABC):
-    """Light in front of the camera: a function of time and place.
+    """Light in front of the camera: a smooth function of time and place.
 
     Attributes
     ----------
     uniform : bool
         Whether the light is the same everywhere.
-    linear : bool
-        Whether light is linear between samples (recorded scenes); else it is smooth
-        and a cubic between samples ``step_us`` apart is exact.
     """
 
     uniform: bool = False
-    linear: bool = False
 
     @abstractmethod
     def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
@@ -82,10 +78,6 @@ class Scene(ABC):
         At 0.04 radians per sample of the fastest component, the cubic between samples
         is exact to 1e-8 of S0.
         """
-
-    def times_us(self, start_us: float, stop_us: float) -> FloatArray:
-        """Return the nodes of piecewise-linear light in (start_us, stop_us)."""
-        return np.empty(0)
 
     def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
         """Return the mask of the places to score: all, unless the scene overrides it.
@@ -125,22 +117,6 @@ def rad_per_us(rpm: float) -> float:
     return 2 * math.pi * rpm / 60e6
 
 
-def grid(step_us: float, start_us: float, stop_us: float) -> FloatArray:
-    """Return the multiples of step strictly between start and stop."""
-    if math.isinf(step_us):
-        return np.empty(0)
-    first = math.floor(start_us / step_us) + 1
-    return step_us * np.arange(
-        first, math.ceil(stop_us / step_us), dtype=np.float64)
-
-
-def kinks(scene: Scene, start_us: float, stop_us: float) -> FloatArray:
-    """Return the times strictly within start..stop at which `Sum` needs a node, us."""
-    if scene.linear:
-        return scene.times_us(start_us, stop_us)
-    return grid(scene.step_us, start_us, stop_us)
-
-
 @dataclass(frozen=True)
 class Sum(Scene):
     """The incoherent sum of two scenes.
@@ -163,19 +139,9 @@ class Sum(Scene):
         return self.first.uniform and self.second.uniform
 
     @property
-    def linear(self) -> bool:  # type: ignore[override]
-        """Whether either is linear between samples."""
-        return self.first.linear or self.second.linear
-
-    @property
     def step_us(self) -> float:
         """Smaller sampling interval of the two, us."""
         return min(self.first.step_us, self.second.step_us)
-
-    def times_us(self, start_us: float, stop_us: float) -> FloatArray:
-        """Nodes of both; of a smooth one its samples."""
-        return np.union1d(*(kinks(scene, start_us, stop_us)
-                            for scene in (self.first, self.second)))
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
         """S0, S1, S2 in DN per ms."""
@@ -216,17 +182,6 @@ class Flicker(Scene):
     def uniform(self) -> bool:  # type: ignore[override]
         """Whether the scene's light is the same everywhere."""
         return self.scene.uniform
-
-    @property
-    def linear(self) -> bool:  # type: ignore[override]
-        """Whether the scene's light is linear between samples."""
-        return self.scene.linear
-
-    def times_us(self, start_us: float, stop_us: float) -> FloatArray:
-        """Nodes of the scene, and samples of the lamp."""
-        step = step_of(2e-6 * math.pi * self.hz)
-        return np.union1d(self.scene.times_us(start_us, stop_us),
-                          grid(step, start_us, stop_us))
 
     @property
     def step_us(self) -> float:

@@ -1,7 +1,6 @@
 """A simulation as a recording: computed while it is read, in constant memory."""
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -189,11 +188,11 @@ class SimulatedRecording(Recording):
         """Return the events of 10 ms, and add its light to the exposures ``sums``."""
         height, width = self.camera.size
         rows = [slice(r, min(r + _ROWS, height)) for r in range(0, height, _ROWS)]
-        if self.threads == 1 and (self.scene.uniform or self.scene.linear):
+        if self.threads == 1 and self.scene.uniform:
             rows = [slice(0, height)]
         blocks = self._blocks(start)
         weights = {} if clock is None else {
-            (frame, block): clock.weights(frame, *block, self.scene.linear)
+            (frame, block): clock.weights(frame, *block)
             for frame in clock.frames(start, start + PIECE_US) for block in blocks}
         for frame, _ in weights:
             sums.setdefault(frame, np.zeros((height, width)))
@@ -206,14 +205,14 @@ class SimulatedRecording(Recording):
             events: list[Events] = []
             for block in blocks:
                 at, step, _ = block
-                light, slope, analyser = self._light(block, part)
-                nodes = light if self.scene.linear else light[2:-2]
+                light, analyser = self._light(block, part)
+                nodes = light[2:-2]
                 if pixels is not None:
                     if at == 0:
                         pixels.settle(nodes[0] if analyser is None
                                       else analyser @ nodes[0], part)
                     events += pixels.advance(
-                        at, step, nodes, slope, analyser,
+                        at, step, nodes, node_slopes(light), analyser,
                         rows=part, edges=edges, first_edge=first_edge)
                 for (frame, other), weight in weights.items():
                     if other == block and np.any(weight):
@@ -226,15 +225,6 @@ class SimulatedRecording(Recording):
 
     def _blocks(self, start: int) -> list[tuple[float, float, int]]:
         """Return (start, step, intervals) of the blocks of nodes that make 10 ms."""
-        if self.scene.linear:
-            kinks = self.scene.times_us(start, start + PIECE_US)
-            times = [float(start), *kinks.tolist(), float(start + PIECE_US)]
-            dvs = self.camera.dvs
-            longest = math.inf if dvs is None else dvs.step_us
-            cuts = [max(1, math.ceil((b - a) / longest))
-                    for a, b in itertools.pairwise(times)]
-            return [(a, (b - a) / n, n)
-                    for (a, b), n in zip(itertools.pairwise(times), cuts, strict=True)]
         step = PIECE_US / self._intervals
         size = self._intervals if self.scene.uniform else _INTERVALS
         return [(start + first * step, step, min(size, self._intervals - first))
@@ -242,15 +232,14 @@ class SimulatedRecording(Recording):
 
     def _light(
         self, block: tuple[float, float, int], rows: slice
-    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Light (nodes, pixels) at the nodes of a block, its slopes, and None.
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Light (nodes, pixels) at the nodes of a block, and None.
 
-        For uniform light: S0..S2 (nodes, 3), their slopes, and the pixels' responses
-        (pixels, 3).  Smooth light has two more nodes at each end, for the slopes.
+        For uniform light: S0..S2 (nodes, 3), and the pixels' responses (pixels, 3).
+        There are two more nodes at each end, for the slopes.
         """
-        beyond = 0 if self.scene.linear else 2
         start, step, count = block
-        t = start + step * np.arange(-beyond, count + 1 + beyond)
+        t = start + step * np.arange(-2, count + 3)
         camera = self.camera
         analyser = camera.maps["analyser"][rows]
         row, column = camera.origin
@@ -263,10 +252,7 @@ class SimulatedRecording(Recording):
             x = np.arange(camera.size[1])[None, :] + column
             light = _analysed(
                 analyser, self.scene.stokes(t[:, None, None], x, y), len(t))
-        light = np.ascontiguousarray(light)
-        slope = np.empty((0, light.shape[1])) if self.scene.linear else (
-            node_slopes(light))
-        return light, slope, seen
+        return np.ascontiguousarray(light), seen
 
     def _finish(
         self, clock: FrameClock, sums: dict[int, FloatArray], stop: int
