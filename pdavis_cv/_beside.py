@@ -12,14 +12,8 @@ import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
 
-try:
-    import fcntl
-except ImportError:     # Windows
-    fcntl = None  # type: ignore[assignment]
-
-__all__ = ["Place", "Unfinished", "clear", "sole", "takes_bytes", "write_beside"]
+__all__ = ["Place", "Unfinished", "clear", "takes_bytes", "write_beside"]
 
 _COUNT = itertools.count()
 """Makes temporary names unique, as two threads may write the same file."""
@@ -110,32 +104,6 @@ def takes_bytes(path: Path) -> bool:
     folder = os.path.realpath(path.parent)
     return folder.startswith("/proc/") or (
         folder == "/dev" and path.name in ("stdout", "stderr"))
-
-
-def sole(file: BinaryIO, path: Path) -> None:
-    """Lock an open file, so that no other process writes the same output.
-
-    Parameters
-    ----------
-    file : binary file
-        The lock ends when it is closed.
-    path : Path
-        The output.
-
-    Raises
-    ------
-    OSError
-        If another process holds the lock.  Never on Windows or on a file system
-        without such locks.
-    """
-    if fcntl is None:
-        return
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise OSError(errno.EBUSY, "another process is writing it", str(path)) from None
-    except OSError:
-        return      # the file system has no locks
 
 
 class Unfinished:
