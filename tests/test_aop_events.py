@@ -58,16 +58,13 @@ def test_the_stream_says_what_the_image_at_that_time_says():
     recording, _ = Camera.preset("nominal", seed=1, aps=None).record(
         RotatingPolarizer(rpm=203), 1.0)
     events = np.concatenate([packet.events for packet in recording.packets()])
-    for options in ({"hold": False}, {"correct_phase": True}):
-        stream = make(recording.info.sensor_size, 0.16, 0.18, recording.info.layout,
-                      correct_phase="correct_phase" in options).add(events)
-        at = np.flatnonzero(np.diff(stream["t"]) > 0)[-50:]
-        times = stream["t"][at]
-        images = fuse(recording, times_us=times, demosaic="superpixel",
-                      thresholds=(0.16, 0.18), **options)
-        for event, image in zip(stream[at], images, strict=True):
-            assert apart(image.aop[event["y"] // 2, event["x"] // 2],
-                         event["aop"]) < 1e-3
+    stream = make(recording.info.sensor_size, 0.16, 0.18, recording.info.layout).add(
+        events)
+    at = np.flatnonzero(np.diff(stream["t"]) > 0)[-50:]
+    images = fuse(recording, times_us=stream["t"][at], demosaic="superpixel",
+                  thresholds=(0.16, 0.18), hold=False)
+    for event, image in zip(stream[at], images, strict=True):
+        assert apart(image.aop[event["y"] // 2, event["x"] // 2], event["aop"]) < 1e-3
 
 
 @pytest.mark.parametrize("rpm", [30, -30, 60])
@@ -111,10 +108,3 @@ def test_events_outside_or_late_are_refused_by_name():
     with pytest.raises(ValueError, match="event 0 at t="):
         stream.add(events[:2])
     assert len(stream.add(events[:0])) == 0
-
-
-def test_holding_and_correcting_exclude_each_other():
-    recording, _ = Camera.preset("ideal", size=(4, 4), aps=None).record(
-        RotatingPolarizer(rpm=60), 0.1)
-    with pytest.raises(ValueError, match="correct_phase needs hold=False"):
-        fuse(recording, hold=True, correct_phase=True)

@@ -10,13 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import checked_threshold, positive, sensor_shape, whole_number
-from pdavis_cv._types import State
 from pdavis_cv.events import FAR, timed_events
 from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
 from pdavis_cv.sensor import CHANNELS, Layout
 from pdavis_cv.stokes_vector import aop
 
-__all__ = ["AOP_EVENT_DTYPE", "MOST_RADIUS", "AopEvents", "axes_of", "layout_of"]
+__all__ = ["AOP_EVENT_DTYPE", "MOST_RADIUS", "AopEvents"]
 
 MOST_RADIUS = 32
 """Largest radius, macropixels: an event then changes 3,200 of them.  Engineering
@@ -136,63 +135,6 @@ class AopEvents:
             out[name] = events[name]
         out["aop"] = aop(s[0], s[1])
         return out
-
-    def turn(self, t_us: int) -> NDArray[np.float64]:
-        """Return the phase lead of the doubled angle of each macropixel at t_us.
-
-        Parameters
-        ----------
-        t_us : int
-            Not before the last event.
-
-        Returns
-        -------
-        ndarray of float64, shape ((H + 1) // 2, (W + 1) // 2)
-            Radians, -pi/2 to pi/2; positive where AoP increases.
-        """
-        turns, since = self._turns, t_us - self._epoch[0]
-        if since == np.inf:
-            return np.zeros(turns.shape)
-        weight = math.exp(-1.5 * self._rate * since)
-        energy = turns["energy"] + (
-            turns["s1"]**2 + turns["s2"]**2) * (t_us - turns["t"]) * weight
-        swept = turns["swept"]
-        ahead = np.arctan2(self._rate * energy, np.abs(swept))
-        return np.where(energy > 0, np.copysign(ahead, swept), 0)
-
-    def state(self) -> State:
-        """Return copies of everything that events change."""
-        return {"last_us": self._clock.last_us, "epoch": self._epoch.copy(),
-                "turns": self._turns.copy()}
-
-    def restore(self, state: State) -> None:
-        """Take over copies of what `state` returned."""
-        self._clock.last_us = state["last_us"]
-        self._epoch[:], self._turns[:] = state["epoch"], state["turns"]
-
-
-def axes_of(response: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the coefficients, 1, -1 or 0, of each place of the cell in S1 and S2.
-
-    Parameters
-    ----------
-    response : ndarray of float64, shape (2, 2, 3) or (H, W, 3)
-        Response of each pixel (of the cell) to S0, S1, S2.
-
-    Returns
-    -------
-    ndarray of float64, shape (4, 2)
-        By place ``2 * (y % 2) + x % 2``.
-    """
-    cell = [response[y::2, x::2, 1:].mean((0, 1)) for y in (0, 1) for x in (0, 1)]
-    return np.array([np.rint(s / np.hypot(*s)) for s in cell])
-
-
-def layout_of(axes: NDArray[np.float64]) -> Layout:
-    """Return the layout whose `axes_of` these are."""
-    angles = np.rint(np.rad2deg(np.arctan2(axes[:, 1], axes[:, 0])) / 2).astype(int)
-    a, b, c, d = (int(angle) % 180 for angle in angles)
-    return Layout((a, b), (c, d))
 
 
 def _axes(layout: Layout) -> NDArray[np.float64]:

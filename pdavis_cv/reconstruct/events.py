@@ -18,7 +18,7 @@ from pdavis_cv._checks import (
 )
 from pdavis_cv._types import Events, Parameters, State
 from pdavis_cv.events import timed_events
-from pdavis_cv.reconstruct.aop_events import MOST_RADIUS, AopEvents, axes_of, layout_of
+from pdavis_cv.reconstruct.aop_events import MOST_RADIUS
 from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.cf import CELL_DTYPE
 from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
@@ -52,13 +52,7 @@ class EventHighPass(Reconstructor):
     hold : bool
         Show each pixel's value after its last event, which is the paper's equation;
         otherwise the value decayed to the time of the image, so that static parts
-        fade.  Default: unless ``correct_phase``.
-    correct_phase : bool
-        Correct the high pass's phase lead by each macropixel's signed rate of rotation,
-        estimated over about two time constants; excludes ``hold``.
-    response : array_like of shape (2, 2, 3) or (H, W, 3), optional
-        Response of each pixel (of the cell) to S0, S1, S2, which gives the layout.
-        Required by ``correct_phase``.
+        fade.
 
     Raises
     ------
@@ -85,26 +79,14 @@ class EventHighPass(Reconstructor):
 
     def __init__(
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
-        cutoff_hz: float = 0.5, radius: int = 1, hold: bool | None = None,
-        correct_phase: bool = False, response: ArrayLike | None = None,
+        cutoff_hz: float = 0.5, radius: int = 1, hold: bool = True,
     ) -> None:
         self.shape = sensor_shape(shape)
         self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
         self._theta_off = checked_threshold("theta_off", theta_off, self.shape)
         self._cutoff_hz = positive("cutoff_hz", cutoff_hz)
         self._radius = whole_number("radius", radius, 0, MOST_RADIUS)
-        self._hold = not correct_phase if hold is None else bool(hold)
-        self._response = None if response is None else np.array(response, np.float64)
-        self._turns: AopEvents | None = None
-        if correct_phase:
-            if self._hold:
-                raise ValueError("correct_phase needs hold=False, got hold=True")
-            if self._response is None:
-                raise ValueError("correct_phase needs the pixels' response, got None")
-            self._axes = axes_of(self._response)
-            self._turns = AopEvents(
-                self.shape, theta_on=theta_on, theta_off=theta_off,
-                layout=layout_of(self._axes), cutoff_hz=cutoff_hz, radius=self._radius)
+        self._hold = bool(hold)
         self.margin = 2 * self._radius
         self._steps = steps(self._theta_on, self._theta_off)
         self._leak = (
@@ -130,8 +112,7 @@ class EventHighPass(Reconstructor):
         """Parameters that make an equal EventHighPass."""
         return {"theta_on": self._theta_on, "theta_off": self._theta_off,
                 "cutoff_hz": self._cutoff_hz, "radius": self._radius,
-                "hold": self._hold, "correct_phase": self._turns is not None,
-                "response": self._response}
+                "hold": self._hold}
 
     def add_events(self, events: Events) -> None:
         """Integrate events (see `Reconstructor.add_events`)."""
@@ -140,8 +121,6 @@ class EventHighPass(Reconstructor):
         taken = self._leak(events, self._steps, clock.last_us, self._cells)
         _kernels.leak_shown(
             events[:taken], self._cells, self._held, self._seen.view(np.uint8))
-        if self._turns is not None:
-            self._turns.add(events[:taken])
         clock.took(events, taken)
 
     def add_frame(self, frame: ApsFrame) -> None:
@@ -161,8 +140,6 @@ class EventHighPass(Reconstructor):
             seen = self._around()
         else:
             log[:], seen = own, self._seen.copy()
-        if self._turns is not None:
-            self._turn_back(log, self._turns.turn(t))
         return Estimate(log, None, seen)
 
     def _around(self) -> NDArray[np.bool_]:
@@ -177,33 +154,17 @@ class EventHighPass(Reconstructor):
             self._mean_cache = seen.copy(), around
         return self._mean_cache[1].copy()
 
-    def _turn_back(
-        self, log: NDArray[np.float32], turn: NDArray[np.float64]
-    ) -> None:
-        """Rotate (S1, S2) of macropixels by -turn; sums of orthogonal channels stay."""
-        rows, columns = (side // 2 for side in self.shape)
-        part = [log[i // 2:2 * rows:2, i % 2:2 * columns:2] for i in range(4)]
-        s1, s2 = (sum(self._axes[i, j] * part[i] for i in range(4)) for j in (0, 1))
-        turn = turn[:rows, :columns]
-        cos, sin = np.cos(turn), np.sin(turn)
-        d1, d2 = s1 * cos + s2 * sin - s1, s2 * cos - s1 * sin - s2
-        for plane, (one, two) in zip(part, self._axes, strict=True):
-            plane += (one * d1 + two * d2) / 2
-
     def intensity(self, log_intensity: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return 1 + dL, for a macropixel's relative intensities."""
         return log_intensity + np.float32(1)
 
     def _state(self) -> State:
-        return {"last_us": self._clock.last_us, "cells": self._cells.copy(),
-                "turns": None if self._turns is None else self._turns.state()}
+        return {"last_us": self._clock.last_us, "cells": self._cells.copy()}
 
     def _restore(self, state: State) -> None:
         self._clock.last_us = state["last_us"]
         self._cells = state["cells"].copy()
         _kernels.leak_held(self._cells, self._held, self._seen.view(np.uint8))
-        if self._turns is not None:
-            self._turns.restore(state["turns"])
 
 
 def _neighbours(radius: int) -> NDArray[np.intp]:

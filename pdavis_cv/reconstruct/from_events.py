@@ -13,7 +13,7 @@ from pdavis_cv.reconstruct.redundancy import EventRedundancy
 __all__ = ["from_events"]
 
 _KINDS: dict[str, Any] = {"mean": EventHighPass, "redundancy": EventRedundancy}
-_ONLY = {"mean": ("radius", "hold", "correct_phase"),
+_ONLY = {"mean": ("radius", "hold"),
          "redundancy": ("lookahead_us", "bandwidth", "ratio_sigma")}
 
 
@@ -26,7 +26,6 @@ def from_events(
     cutoff_hz: float = 0.5,
     radius: int | None = None,
     hold: bool | None = None,
-    correct_phase: bool | None = None,
     lookahead_us: int | None = None,
     bandwidth: tuple[float, float] | None = None,
     ratio_sigma: float | None = None,
@@ -41,12 +40,12 @@ def from_events(
     offsets : {"mean", "redundancy"}
         "mean": the channels' means are taken to be equal, as in the paper;
         "redundancy": they follow from I0 + I90 = I45 + I135, and DoLP with them.
-    radius, hold, correct_phase
+    radius, hold
         As for `EventHighPass`, with its defaults.
     lookahead_us, bandwidth, ratio_sigma
         As for `EventRedundancy`, with its defaults.
     response
-        As for both classes.
+        As for `EventRedundancy`.
 
     Raises
     ------
@@ -58,14 +57,14 @@ def from_events(
     if offsets not in _KINDS:
         raise ValueError(f"offsets must be 'mean' or 'redundancy', got {offsets!r}")
     given: dict[str, Any] = {
-        "radius": radius, "hold": hold, "correct_phase": correct_phase,
-        "lookahead_us": lookahead_us, "bandwidth": bandwidth,
+        "radius": radius, "hold": hold, "lookahead_us": lookahead_us,
+        "bandwidth": bandwidth,
         "ratio_sigma": ratio_sigma}
     given = {name: value for name, value in given.items() if value is not None}
     for name in given:
         if name not in _ONLY[offsets]:
             raise TypeError(f"{name} has no meaning with offsets={offsets!r}")
-    if offsets == "redundancy" or correct_phase:
+    if offsets == "redundancy":
         given["response"] = response
     made: Reconstructor = _KINDS[offsets](
         shape, theta_on=theta_on, theta_off=theta_off, cutoff_hz=cutoff_hz, **given)

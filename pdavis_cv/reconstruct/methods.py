@@ -46,7 +46,6 @@ class MethodKeywords(TypedDict, total=False):
     adaptive_gain: bool
     backend: str
     bandwidth: tuple[float, float] | None
-    correct_phase: bool | None
     cutoff_hz: float
     hold: str | bool | None
     lookahead_us: int | None
@@ -55,7 +54,6 @@ class MethodKeywords(TypedDict, total=False):
     offsets: str
     radius: int | None
     ratio_sigma: float | None
-    rule: str
     scaling: str | None
     table: ArrayLike | None
     weights: str | Path | Weights | None
