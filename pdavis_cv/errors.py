@@ -1,4 +1,5 @@
 """Errors and warnings; each error is also a subclass of the fitting builtin."""
+from pdavis_cv._text import MOST_TEXT, shown
 
 __all__ = [
     "AnalysisWarning",
@@ -18,6 +19,9 @@ __all__ = [
 
 class PdavisError(Exception):
     """Base class of this library's errors."""
+
+    def __str__(self) -> str:
+        return shown(super().__str__(), MOST_TEXT)
 
 
 class RecordingError(PdavisError, OSError):
@@ -42,6 +46,9 @@ class WeightsError(PdavisError, ValueError):
 
 class PdavisWarning(UserWarning):
     """Base class of this library's warnings, which are issued once per recording."""
+
+    def __str__(self) -> str:
+        return shown(super().__str__(), MOST_TEXT)
 
 
 class LayoutWarning(PdavisWarning):

@@ -4,6 +4,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
+import io
 import json
 import os
 import re
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TextIO
 
 from pdavis_cv._beside import takes_bytes
+from pdavis_cv._text import MOST_TEXT, Shown, shown
 from pdavis_cv.errors import PdavisError, PdavisWarning
 from pdavis_cv.registry import nearest
 
@@ -117,7 +119,11 @@ def command(main: Main) -> Main:
 
     @functools.wraps(main)
     def run(argv: Sequence[str] | None = None) -> int:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), contextlib.ExitStack() as stack:
+            if sys.stdout is not None:
+                stack.enter_context(contextlib.redirect_stdout(Shown(sys.stdout)))
+            stack.enter_context(contextlib.redirect_stderr(
+                io.StringIO() if sys.stderr is None else Shown(sys.stderr)))
             warnings.simplefilter("always", PdavisWarning)
             warnings.showwarning = functools.partial(_show_warning, set())
             try:
@@ -172,7 +178,7 @@ def _drop_output() -> None:
 def _complain(error: object, code: int) -> int:
     if isinstance(error, OSError) and error.strerror and error.filename:
         error = f"{error.filename}: {error.strerror}"
-    print("pdavis:", in_flags(str(error)), file=sys.stderr)
+    print("pdavis:", shown(in_flags(str(error)), MOST_TEXT), file=sys.stderr)
     return code
 
 
@@ -200,7 +206,7 @@ def _show_warning(
     said: set[str], message: Warning | str, category: type[Warning], filename: str,
     lineno: int, file: TextIO | None = None, line: str | None = None,
 ) -> None:
-    text = in_flags(str(message))
+    text = shown(in_flags(str(message)), MOST_TEXT)
     if text not in said:    # a command may read a recording several times
         said.add(text)
         print("pdavis: warning:", text, file=sys.stderr)

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from pdavis_cv import Layout, Sensor
+from pdavis_cv._text import MOST_TEXT, shown
 from pdavis_cv.calibration.thresholds import thresholds_from_biases
 from pdavis_cv.export.files import plain
 from pdavis_cv.fusion.learning import learned_pixels
@@ -51,9 +52,9 @@ def main(argv: Sequence[str] | None = None) -> int:
             return 0
         print(name)
         for name, text in _rows(recording.info, report):
-            print(f"  {name:<11} {text}")
+            print(f"  {name:<11} {shown(' '.join(text.splitlines()), MOST_TEXT)}")
         for problem in problems:
-            print(f"  problem     {in_flags(problem.message)}")
+            print(f"  problem     {in_flags(problem.message)[:MOST_TEXT]}")
         for one in advice:
             print(f"  {one.topic}: {one.finding}; {one.action}")
     return 0
@@ -119,9 +120,12 @@ def _rows(info: RecordingInfo, report: Report | None) -> list[tuple[str, str]]:
         share = report.on_count / report.event_count
         rows.append(("ON events", f"{report.on_count:,} ({share:.1%})"))
     if info.wall_clock_us is not None and known.start_us is not None:
-        moment = datetime.datetime.fromtimestamp(
-            (info.wall_clock_us + known.start_us) / 1e6, datetime.UTC)
-        rows.append(("recorded", f"{moment:%Y-%m-%d %H:%M:%S} UTC"))
+        seconds = (info.wall_clock_us + known.start_us) / 1e6
+        try:
+            moment = datetime.datetime.fromtimestamp(seconds, datetime.UTC)
+            rows.append(("recorded", f"{moment:%Y-%m-%d %H:%M:%S} UTC"))
+        except (OverflowError, OSError, ValueError):
+            rows.append(("recorded", f"{seconds:g} s after 1970, no date"))
     for name, ampere in info.biases.items():
         rows.append(("bias", f"{name} {ampere:.3g} A"))
     return rows

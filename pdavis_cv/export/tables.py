@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv._text import table_text
 from pdavis_cv._types import Facts
 from pdavis_cv.export.embedded import to_json
 
@@ -55,7 +56,7 @@ def write_csv(
             "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, delimiter=";" if decimal == "," else ",",
                             lineterminator="\n")
-        writer.writerow(header)
+        writer.writerow(map(table_text, header))
         for row in rows:
             writer.writerow([_cell(value, decimal, digits) for value in row])
     if facts:
@@ -70,7 +71,7 @@ def _cell(value: Any, decimal: str, digits: int) -> Any:
             return ""
         text = repr(float(value) if digits >= 17 else float(f"{value:.{digits}g}"))
         return text.replace(".", decimal)
-    return value
+    return table_text(value) if isinstance(value, str) else value
 
 
 _DIGITS = 7

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._checks import whole_number
 from pdavis_cv._types import Events
 from pdavis_cv.errors import DeviceError
 from pdavis_cv.events import EVENT_DTYPE, FAR
@@ -288,11 +289,13 @@ def _sorted(found: NDArray[Any]) -> Events:
 def open_tcp(address: Address, *, frames: int = 0) -> DvSource:
     """Open ``dv+tcp://HOST:PORT``; `frames` is a second port."""
     host, _, port = address.target.removeprefix("//").rstrip("/").rpartition(":")
-    if not host or not port.isdigit():
+    if not host or not port.isdecimal():
         raise ValueError("//HOST:PORT is needed after the first colon")
+    ports = [whole_number("port", each, 1, 65535)
+             for each in (int(port), *([frames] if frames else []))]
     links: list[socket.socket] = []
     try:
-        for number in (int(port), *([frames] if frames else [])):
+        for number in ports:
             links.append(socket.create_connection(
                 (host.strip("[]"), number), CONNECT_S))
         return DvSource(address.text, links)

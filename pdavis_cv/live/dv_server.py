@@ -7,6 +7,7 @@ import threading
 from collections import deque
 from typing import Self
 
+from pdavis_cv._checks import whole_number
 from pdavis_cv.recording.aedat4.writer import (
     EVENTS,
     FRAMES,
@@ -119,6 +120,7 @@ class DvServer:
             for name, stream, port in (
                     ("events", EVENTS, events), ("frames", FRAMES, frames)):
                 if port is not None:
+                    port = whole_number(name, port, 0, 65535)
                     link = socket.create_server(("127.0.0.1", port))
                     encoder = StreamEncoder(stream, info, compression)
                     self._listeners.append((link, encoder))

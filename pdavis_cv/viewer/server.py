@@ -8,6 +8,7 @@ from http.server import ThreadingHTTPServer
 from types import TracebackType
 from typing import Any, Self, Unpack
 
+from pdavis_cv._checks import whole_number
 from pdavis_cv.fusion.options import AllKeywords
 from pdavis_cv.viewer.handler import Handler
 from pdavis_cv.viewer.show import Show, show_of
@@ -161,6 +162,7 @@ def serve(
     ...     server.url.startswith("http://127.0.0.1:")
     True
     """
+    port = whole_number("port", port, 0, 65535)
     token = None if host in LOOPBACK else secrets.token_urlsafe(16)
     show = show_of(where, record_to, dict(fuse_parameters))
     try:

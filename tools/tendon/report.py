@@ -14,6 +14,7 @@ import numpy as np
 
 from pdavis_cv import analysis, render
 from pdavis_cv._beside import write_beside
+from pdavis_cv._text import for_script
 
 from .findings import Findings
 from .results import clock_of, error_of, rounded, rows_of
@@ -221,7 +222,7 @@ def _hover(found: Findings) -> str:
     script = files("pdavis_cv.tools.tendon").joinpath("hover.js").read_text("utf-8")
     return (f'<div class=traces>{_image(data, "id=traces ")}<i hidden></i>'
             "<pre hidden></pre></div>"
-            f"<script>const PANES = {json.dumps(panes)};\n{script}</script>")
+            f"<script>const PANES = {for_script(panes)};\n{script}</script>")
 
 
 def _line(

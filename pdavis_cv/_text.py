@@ -1,0 +1,71 @@
+"""Text of others, such as a file's, as it may reach a terminal or a table."""
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+__all__ = ["MOST_TEXT", "Shown", "for_script", "shown", "table_text"]
+
+MOST_TEXT = 2000
+"""Most characters of an error or a warning."""
+_PLAIN = re.compile(r"[\n\t -~]*")
+
+
+def shown(text: str, most: int | None = None) -> str:
+    r"""Return a text without what controls a terminal: ``ESC`` becomes ``\x1b``.
+
+    Parameters
+    ----------
+    text : str
+    most : int, optional
+        Most characters; their number follows if there are more.
+
+    Examples
+    --------
+    >>> print(shown("\x1b[31mred\u202e", 8))
+    \x1b[31mred ... (9 characters)
+    """
+    more = "" if most is None or len(text) <= most else f" ... ({len(text)} characters)"
+    text = text[:most] if more else text
+    if not _PLAIN.fullmatch(text):
+        text = "".join(one if one.isprintable() or one in "\n\t" else
+                       one.encode("unicode_escape").decode() for one in text)
+    return text + more
+
+
+class Shown:
+    """A text stream that is written to by `shown`; else the stream itself.
+
+    Parameters
+    ----------
+    stream : text stream
+    """
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write a text; carriage returns, of progress bars, pass."""
+        self._stream.write("\r".join(map(shown, text.split("\r"))))
+        return len(text)
+
+
+def for_script(value: Any) -> str:
+    """Return a value as JSON inside a page's script, which no text in it can end."""
+    return json.dumps(value).replace("<", "\\u003c")
+
+
+def table_text(text: str) -> str:
+    """Return a text as a cell that no spreadsheet takes for a formula."""
+    text = shown(text)
+    if text[:1] not in ("=", "+", "-", "@", "\t"):
+        return text
+    try:
+        float(text)
+    except ValueError:
+        return "'" + text
+    return text
