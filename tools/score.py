@@ -20,24 +20,21 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pdavis_cv import Calibration, Recording, __version__
-from pdavis_cv._beside import write_beside
 from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore, pooled
 from pdavis_cv.batch import both_halves, predicted
 from pdavis_cv.errors import PdavisWarning
-from pdavis_cv.export import write_csv
-from pdavis_cv.reconstruct.base import Estimate
+from pdavis_cv.export import write_csv, write_json
 from pdavis_cv.reconstruct.methods import METHODS, make_reconstructor
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 
 from ._common import (
     Parser,
     UsageError,
-    can_draw,
     checked_out,
     command,
     progress,
@@ -45,9 +42,6 @@ from ._common import (
 )
 from ._options import add_file, add_source_options, calibration_of, opened
 from ._values import numbers, positive
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["Row", "Trial", "main", "predicted", "suited", "suited_for_polarization",
            "trials"]
@@ -154,18 +148,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         tries = [_tries(args.thresholds, calibration, one) for one in halves]
         rows = [_pooled(pair)
                 for pair in zip(*map(_simple, halves, tries), strict=True)]
-        best: tuple[float, list[Estimate]] = math.inf, []
         asked = [
             (name, pair) for name in _possible(known, args.methods, recording)
             for pair in (zip(*tries, strict=True) if known[name].thresholds else
                          [(("", {"thresholds": None}),) * len(halves)])]
         for name, pair in progress(asked, len(asked), "methods"):
-            found = [_predicted(one, name, known[name], *each)
-                     for one, each in zip(halves, pair, strict=True)]
-            rows.append(_pooled([row for row, _ in found]))
-            moving = rows[-1].by_class["moving"].rmse
-            if moving < best[0]:
-                best = moving, found[0][1]
+            rows.append(_pooled([_predicted(one, name, known[name], *each)
+                                 for one, each in zip(halves, pair, strict=True)]))
         polarized = recording.info.layout is not None
     advice = _advice(rows, args.file, polarized=polarized)
     if args.json:
@@ -173,18 +162,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     else:
         print("\n".join([*_table(halves, rows), "", *advice]))
     if args.out is not None:
-        _write(args, halves, rows, advice, best[1])
+        _write(args, halves, rows, advice)
     return 0
 
 
 def _predicted(
     left_out: LeftOutFrames, name: str, trial: Trial, source: str,
     options: dict[str, Any],
-) -> tuple[Row, list[Estimate]]:
-    """Return the row of a method on one half of the frames, and its predictions."""
-    guesses = list(predicted(left_out, **trial.options, **options))
+) -> Row:
+    """Return the row of a method on one half of the frames."""
     return Row(name, source, _pair(options), left_out.score(
-        guesses, relative=trial.relative), trial), guesses
+        predicted(left_out, **trial.options, **options), relative=trial.relative),
+        trial)
 
 
 def _pooled(rows: Sequence[Row]) -> Row:
@@ -198,7 +187,7 @@ def _parser(known: Mapping[str, Trial]) -> argparse.ArgumentParser:
     add_file(parser, "a recording with frames and events")
     parser.add_argument(
         "-o", "--out", type=Path, metavar="STEM",
-        help="write STEM.csv, STEM.json and, with matplotlib, STEM.png")
+        help="write STEM.csv and STEM.json")
     parser.add_argument(
         "--methods", nargs="+", choices=known, metavar="NAME",
         help=f"methods from {', '.join(map(repr, known))}; causal: only from data "
@@ -416,7 +405,7 @@ def _count(halves: Sequence[LeftOutFrames]) -> int:
 
 def _write(
     args: argparse.Namespace, halves: Sequence[LeftOutFrames], rows: Sequence[Row],
-    advice: Sequence[str], best: Sequence[Estimate],
+    advice: Sequence[str],
 ) -> None:
     stem: Path = args.out
     write_csv(
@@ -426,68 +415,8 @@ def _write(
         ((row.method, row.source, *(row.thresholds or ("", "")), score.kind,
           score.pixels, score.rmse, score.bias, score.coverage)
          for row in rows for score in row.scores))
-    with write_beside(stem.with_name(stem.name + ".json")) as part:
-        part.write_text(json.dumps(_summary(args, halves, rows, advice), indent=2)
-                        + "\n", encoding="utf-8")
-    if not can_draw():
-        return
-    with write_beside(stem.with_name(stem.name + ".png")) as part:
-        _picture(halves[0], rows, best).savefig(part, format="png", dpi=110)
-
-
-def _picture(
-    left_out: LeftOutFrames, rows: Sequence[Row], best: Sequence[Estimate],
-) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12, 9), layout="constrained")
-    parts: Any = figure.subfigures(2, 1, height_ratios=(3, 2))
-    upper, lower = parts
-    y = np.arange(len(rows))[::-1]
-    for axes, kinds, title in zip(
-            upper.subplots(1, 3, sharey=True),
-            (("moving",), ("static, bright", "static, dark"),
-             ("moving", "static, bright")),
-            ("error where pixels move", "error where nothing moves",
-             "errors within one sigma"), strict=True):
-        within = title.startswith("errors within")
-        for i, kind in enumerate(kinds):
-            values = [getattr(row.by_class[kind], "coverage" if within else "rmse")
-                      for row in rows]
-            axes.barh(y + 0.2 - 0.4 * i if len(kinds) > 1 else y, values,
-                      0.4 if len(kinds) > 1 else 0.7,
-                      color=("tab:blue", "tab:orange")[i], label=kind)
-        axes.set_title(title)
-        axes.set_yticks(y, [row.name for row in rows])
-        axes.grid(axis="x", alpha=0.3)
-        axes.set_xlabel("part of pixels" if within else "RMSE, natural log")
-        if within:
-            axes.axvline(0.683, color="black", linewidth=1, label="honest")
-            axes.set_xlim(0, 1)
-        if len(kinds) > 1:
-            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3)
-    _maps(lower, left_out, best)
-    return figure
-
-
-def _maps(figure: Any, left_out: LeftOutFrames, best: Sequence[Estimate]) -> None:
-    i = left_out.liveliest
-    truth, counts, _ = left_out.images(i)
-    linear = left_out.simple((0.2, 0.2))["linear"][i]
-    shown: list[tuple[str, Any]] = [
-        ("the frame left out", truth), ("linear interpolation, error", linear)]
-    if best:
-        shown.append(("best method, error", best[i].log_intensity))
-    for axes, (title, image) in zip(
-            figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
-        if image is truth:
-            picture = axes.imshow(image, cmap="gray")
-        else:
-            off = np.where(counts, image - truth, np.nan)
-            picture = axes.imshow(off, cmap="RdBu_r", vmin=-1, vmax=1)
-        axes.set_title(title)
-        axes.set_axis_off()
-        figure.colorbar(picture, ax=axes, shrink=0.8, label="natural log")
+    write_json(stem.with_name(stem.name + ".json"),
+               _summary(args, halves, rows, advice))
 
 
 if __name__ == "__main__":

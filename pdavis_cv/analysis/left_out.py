@@ -314,11 +314,6 @@ class LeftOutFrames:
         counts = np.logical_or.reduce(list(classes.values()))
         return _log(self._places[i].frame), counts, classes["moving"]
 
-    @property
-    def liveliest(self) -> int:
-        """Index of the frame with the most moving pixels."""
-        return int(np.argmax([each["moving"].sum() for each in self._classes]))
-
 
 def pooled(
     scores: Iterable[Sequence[PredictionScore]],

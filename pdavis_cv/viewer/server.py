@@ -5,7 +5,6 @@ import os
 import secrets
 import threading
 from http.server import ThreadingHTTPServer
-from types import TracebackType
 from typing import Any, Self, Unpack
 
 from pdavis_cv._checks import whole_number
@@ -109,10 +108,7 @@ class Server:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exc: object) -> None:
         self.close()
 
     def _repr_html_(self) -> str:
