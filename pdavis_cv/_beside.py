@@ -4,9 +4,9 @@ from __future__ import annotations
 import contextlib
 import errno
 import functools
-import itertools
 import os
 import re
+import secrets
 import shutil
 import stat
 import tempfile
@@ -14,9 +14,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 __all__ = ["Place", "Unfinished", "clear", "takes_bytes", "write_beside"]
-
-_COUNT = itertools.count()
-"""Makes temporary names unique, as two threads may write the same file."""
 
 
 class Place:
@@ -64,6 +61,9 @@ class Place:
             If this fails; `part` remains.
         """
         if not self.takes_bytes:
+            if part.is_file():      # its bytes, before its name
+                with part.open("rb") as file:
+                    os.fsync(file.fileno())
             os.replace(part, self.beside)
             return
         # Not truncated: a shell may append a command's output to it.
@@ -119,7 +119,7 @@ class Unfinished:
     Attributes
     ----------
     part : Path
-        Name to write to, in the same folder.
+        Name to write to, in the same folder; nobody can guess it, so no link is there.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class Unfinished:
         beside = self._place.beside
         suffix = self.path.suffix if suffix is None else suffix
         self.part = beside.with_name(
-            f".{beside.stem}.part{os.getpid()}-{next(_COUNT)}{suffix}")
+            f".{beside.stem}.part{os.getpid()}-{secrets.token_hex(8)}{suffix}")
 
     @contextlib.contextmanager
     def named(self) -> Iterator[None]:
@@ -191,7 +191,7 @@ def _left_behind(folder: str) -> dict[str, list[str]]:
         return found
     with contextlib.suppress(OSError):
         for name in os.listdir(folder):
-            part = re.fullmatch(r"\.(.+)\.part(\d{1,9})(?:-\d+)?(\..*)?", name)
+            part = re.fullmatch(r"\.(.+)\.part(\d{1,9})(?:-\w+)?(\..*)?", name)
             if part is not None and not _lives(int(part[2])):
                 found.setdefault(part[1], []).append(name)
     return found

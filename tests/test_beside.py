@@ -1,5 +1,7 @@
 """Files that appear under their name only when they are whole."""
+import gc
 import os
+import re
 import socket
 import stat
 import subprocess
@@ -9,7 +11,7 @@ import threading
 import numpy as np
 import pytest
 
-from pdavis_cv import Aedat4Writer, PolarFrame
+from pdavis_cv import Aedat4Writer, Packet, PolarFrame, as_events
 from pdavis_cv._beside import Unfinished, write_beside
 from pdavis_cv.export import NpzFile
 from pdavis_cv.export.stacks import StackFile
@@ -251,3 +253,86 @@ def test_a_trace_that_an_error_ends_is_kept(tmp_path):
     with pytest.raises(RuntimeError):
         ended()
     assert (tmp_path / "x.usb").read_bytes().endswith(b"1234")
+
+
+def test_a_temporary_name_cannot_be_guessed(tmp_path):
+    names = {Unfinished(tmp_path / "a.npy").part.name for _ in range(100)}
+    assert len(names) == 100
+    assert all(re.fullmatch(r"\.a\.part\d+-[0-9a-f]{16}\.npy", name) for name in names)
+
+
+def test_bytes_are_on_the_disk_before_their_name(tmp_path, monkeypatch):
+    done = []
+    monkeypatch.setattr(os, "fsync", lambda number: done.append(
+        os.fstat(number).st_size))
+    with write_beside(tmp_path / "a") as part:
+        part.write_bytes(b"whole")
+        assert done == []
+    assert done == [5]
+
+
+def test_a_descriptor_that_was_closed_is_not_written_again(tmp_path):
+    events = as_events({name: np.full(9, k) for name, k in zip(
+        "txyp", (5, 3, 4, 1), strict=True)})
+    writer = Aedat4Writer(tmp_path / "a.aedat4", sensor_size=(12, 14))
+    writer.add(Packet(events))
+    number = writer._file.fileno()
+    os.close(number)
+
+    def rest(writer):
+        for k in range(1, 10_000):
+            later = events.copy()
+            later["t"] += 10**6 * k
+            writer.add(Packet(later))
+
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        rest(writer)
+    other = os.open(tmp_path / "other", os.O_CREAT | os.O_RDWR)
+    assert other == number      # as any program may get it
+    del writer
+    gc.collect()
+    assert os.fstat(other).st_size == 0
+    os.close(other)
+    assert [one.name for one in tmp_path.iterdir()] == ["other"]
+
+
+@pytest.mark.parametrize("failing", ["write", "seek", "readinto", "truncate"])
+@pytest.mark.parametrize("after", [1, 3, 9, 30])
+def test_hdf5_survives_a_file_that_fails(failing, after, tmp_path):
+    pytest.importorskip("h5py")
+    code = f"""if True:
+    import errno, gc, numpy
+    from pathlib import Path
+    from pdavis_cv.recording.hdf5 import sink
+    class Failing:
+        count = 0
+        def __init__(self, file):
+            self.file = file
+        def __getattr__(self, name):
+            def call(*values):
+                Failing.count += name == {failing!r}
+                if Failing.count >= {after}:
+                    raise OSError(errno.ENOSPC, "full")
+                return found(*values)
+            found = getattr(self.file, name)
+            return found if name == "close" else call
+    made = sink._Sink.__init__
+    def init(self, path):
+        made(self, path)
+        self._file = Failing(self._file)
+    sink._Sink.__init__ = init
+    try:
+        with sink.written(Path({str(tmp_path / "a.h5")!r})) as file:
+            for k in range(20):
+                file.create_dataset(str(k), data=numpy.arange(9), compression="gzip")
+                file.attrs[str(k)] = "text"
+    except OSError as error:
+        assert error.errno == errno.ENOSPC
+    else:
+        assert Failing.count < {after}
+    gc.collect()
+    print("alive")
+    """
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True,
+                          text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "alive\n", "")

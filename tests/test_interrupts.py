@@ -135,3 +135,19 @@ def test_what_is_ignored_besides_interrupts_is_reported_as_before(monkeypatch):
 
     assert main([]) == 0
     assert [str(lost.exc_value) for lost in reported] == ["not an interrupt"]
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="of POSIX")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_the_end_of_a_terminal_is_an_interrupt_and_ignored_ones_stay(name):
+    number = getattr(signal, name)
+    before = signal.signal(number, signal.SIG_DFL)
+    try:
+        with pytest.raises(KeyboardInterrupt), _interrupts.interruptible():
+            os.kill(os.getpid(), number)
+        assert signal.getsignal(number) is signal.SIG_DFL
+        signal.signal(number, signal.SIG_IGN)       # nohup
+        with _interrupts.interruptible():
+            signal.raise_signal(number)
+    finally:
+        signal.signal(number, before)

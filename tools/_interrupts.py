@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: both raise KeyboardInterrupt, and it always ends the command."""
+"""Ctrl-C, SIGTERM and SIGHUP raise KeyboardInterrupt, which ends every command."""
 from __future__ import annotations
 
 import _thread
@@ -12,13 +12,15 @@ from typing import Any, NoReturn
 
 __all__ = ["ended_by_signals", "interruptible"]
 
+_ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP")
+           if hasattr(signal, name)]
 RETRY_S = 0.05
 """Time until an interrupt is raised again that Python ignored, s."""
 
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
-    """Let SIGTERM end the block like Ctrl-C, and lose no interrupt.
+    """Let SIGTERM and SIGHUP end the block like Ctrl-C, and lose no interrupt.
 
     Python calls a signal handler between any two bytecodes, also of a destructor or of
     a weak reference's callback, whose exceptions it can only report: a
@@ -27,9 +29,10 @@ def interruptible() -> Iterator[None]:
     """
     with contextlib.ExitStack() as stack:
         if threading.current_thread() is threading.main_thread():
-            if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:  # nobody else's
-                before = signal.signal(signal.SIGTERM, _raise)
-                stack.callback(signal.signal, signal.SIGTERM, before)
+            for number in _ENDING:
+                if signal.getsignal(number) is signal.SIG_DFL:  # nobody else's
+                    before = signal.signal(number, _raise)
+                    stack.callback(signal.signal, number, before)
             stack.enter_context(_raised_again())
         yield
 

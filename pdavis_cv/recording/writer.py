@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import os
 from abc import ABC, abstractmethod
@@ -96,7 +97,12 @@ class RecordingWriter(ABC):
                     f"frame is {frame.shape[1]}x{frame.shape[0]}, the sensor "
                     f"{width}x{height}")
         with self._unfinished.named():
-            self._write(packet)
+            try:
+                self._write(packet)
+            except OSError as error:
+                if error.errno == errno.EBADF:  # closed, and soon another file's
+                    self.discard()
+                raise
         self._last_us = stop - 1
 
     @abstractmethod
@@ -136,8 +142,8 @@ class RecordingWriter(ABC):
 
     def discard(self) -> None:
         """Delete the unfinished file."""
-        with contextlib.suppress(OSError):   # the disk may be too full to flush
-            self._file.close()
+        with contextlib.suppress(OSError):
+            self._file.raw.close()      # what is buffered is not written
         self._unfinished.discard()
 
     def __enter__(self) -> Self:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,44 +20,54 @@ __all__ = ["written"]
 class _Sink(io.RawIOBase):
     def __init__(self, path: Path) -> None:
         self.error: OSError | None = None
+        self._at = self._end = 0
         self._file = path.open("w+b", buffering=0)
 
+    def _done(self, function: Callable[..., int | None], *values: Any) -> int:
+        """Return what a function of the file gives, 0 from the first error on."""
+        try:
+            return function(*values) or 0 if self.error is None else 0
+        except OSError as error:
+            self.error = error
+            return 0
+
     def readinto(self, buffer: Any) -> int:
-        got = self._file.readinto(buffer) or 0
+        self._done(self._file.seek, self._at)
+        got = self._done(self._file.readinto, buffer)
         # Where nothing was written because of an error HDF5 finds zeros.
         memoryview(buffer).cast("B")[got:] = bytes(len(buffer) - got)
+        self._at += len(buffer)
         return len(buffer)
 
     def write(self, data: Any) -> int:
-        data = memoryview(data).cast("B")
-        done = 0
-        try:
-            while self.error is None and done < len(data):
-                done += self._file.write(data[done:]) or 0
-        except OSError as error:
-            self.error = error
+        data, done = memoryview(data).cast("B"), 0
+        self._done(self._file.seek, self._at)
+        while self.error is None and done < len(data):
+            done += self._done(self._file.write, data[done:])
+        self._at += len(data)
+        self._end = max(self._end, self._at)
         return len(data)
 
     def truncate(self, size: int | None = None) -> int:
-        size = self.tell() if size is None else size
-        try:
-            if self.error is None:
-                self._file.truncate(size)
-        except OSError as error:
-            self.error = error
-        return size
+        self._end = self._at if size is None else size
+        self._done(self._file.truncate, self._end)
+        return self._end
 
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        return self._file.seek(offset, whence)
+        self._at = offset + (0, self._at, self._end)[whence]
+        return self._at
 
     def tell(self) -> int:
-        return self._file.tell()
+        return self._at
 
     def seekable(self) -> bool:
         return True
 
     def close(self) -> None:
-        self._file.close()
+        try:
+            self._file.close()
+        except OSError as error:
+            self.error = self.error or error
         super().close()
 
 
@@ -82,5 +92,6 @@ def written(path: Path) -> Iterator[Any]:
     with contextlib.closing(_Sink(path)) as sink:
         with h5py.File(sink, "w") as file:
             yield file
+        sink.close()
         if sink.error is not None:
             raise sink.error
