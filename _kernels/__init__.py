@@ -53,7 +53,6 @@ from ._leaky import (
     check_times,
     leak_events,
     leak_events_map,
-    leak_held,
     leak_read,
     leak_shown,
     mean_around,

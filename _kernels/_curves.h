@@ -64,24 +64,6 @@ PDAVIS_CLONES PDAVIS_UNUSED static void leak_row(
         leak_block(word + 3 * at, base + at, now, n - at, out + at);
 }
 
-/* Values after the last events, and 1 where there was an event. */
-PDAVIS_CLONES PDAVIS_UNUSED static void held_row(
-    const int64_t *restrict word, ptrdiff_t n, float *restrict out,
-    uint8_t *restrict seen)
-{
-    double t[PDAVIS_LEAKS], value[PDAVIS_LEAKS];
-    float rate[PDAVIS_LEAKS];
-    ptrdiff_t at, i;
-    for (at = 0; at < n; at += PDAVIS_LEAKS) {
-        ptrdiff_t m = n - at < PDAVIS_LEAKS ? n - at : PDAVIS_LEAKS;
-        take_apart(word + 3 * at, m, t, value, rate);
-        for (i = 0; i < m; i++)
-            out[at + i] = (float)value[i];
-        for (i = 0; i < m; i++)
-            seen[at + i] = t[i] > -INFINITY;
-    }
-}
-
 PDAVIS_CLONES PDAVIS_UNUSED static void add_row(
     const float *restrict of, ptrdiff_t n, float *restrict to)
 {

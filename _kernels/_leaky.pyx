@@ -13,7 +13,6 @@ from _kernels._types cimport event_t
 
 cdef extern from "_curves.h" nogil:
     void leak_row(const int64_t*, const float*, double, Py_ssize_t, float*)
-    void held_row(const int64_t*, Py_ssize_t, float*, uint8_t*)
     void add_row(const float*, Py_ssize_t, float*)
     void divide_row(const float*, Py_ssize_t, float*)
 
@@ -138,23 +137,9 @@ def leak_read(const cell_t[:, ::1] cells not None, const float[:, ::1] base not 
             leak_row(<const int64_t*>&cells[y, 0], &base[y, 0], t, w, &out[y, 0])
 
 
-def leak_held(const cell_t[:, ::1] cells not None, float[:, ::1] out not None,
-              uint8_t[:, ::1] seen not None):
-    """Write each cell's value after its last event, and 1 where there was an event."""
-    cdef Py_ssize_t h = out.shape[0], w = out.shape[1], y
-    if (cells.shape[0] != h or seen.shape[0] != h or cells.shape[1] != w
-            or seen.shape[1] != w):
-        raise ValueError("leak_held: cells, out and seen must have one shape")
-    if w == 0:
-        return
-    with nogil:
-        for y in range(h):
-            held_row(<const int64_t*>&cells[y, 0], w, &out[y, 0], &seen[y, 0])
-
-
 def leak_shown(const event_t[::1] events not None, const cell_t[:, ::1] cells not None,
                float[:, ::1] out not None, uint8_t[:, ::1] seen not None):
-    """Update the result of leak_held for the cells of some events.
+    """Write the values of cells after these events, and 1 where there was one.
 
     Stops at the first event outside.
     """

@@ -58,7 +58,6 @@ __all__ = [
     "lasting_degree",
     "leak_events",
     "leak_events_map",
-    "leak_held",
     "leak_read",
     "leak_shown",
     "learning_around",
@@ -274,7 +273,6 @@ def leak_events(
 def leak_events_map(
     events: NDArray[Any], step: _F32, last: int, cells: NDArray[Any]
 ) -> int: ...
-def leak_held(cells: NDArray[Any], out: _F32, seen: _U8) -> None: ...
 def leak_read(cells: NDArray[Any], base: _F32, t: float, out: _F32) -> None: ...
 def leak_shown(
     events: NDArray[Any], cells: NDArray[Any], out: _F32, seen: _U8

@@ -23,8 +23,6 @@ class Analyser:
     response : array_like, shape (4, 3) or (4, 3, H, W)
         ``I[k] = sum(response[k, j] * S[j])``, channels in the order of ``CHANNELS``;
         an ideal polarizer at angle a has (1, cos 2a, sin 2a) / 2.
-    weight : array_like, shape (4,) or (4, H, W), optional
-        Weights of the channels in the least squares, 1 / variance; default: equal.
 
     Attributes
     ----------
@@ -44,22 +42,13 @@ class Analyser:
     response: NDArray[np.float64]
     solution: NDArray[np.float32]
 
-    def __init__(self, response: ArrayLike, weight: ArrayLike | None = None) -> None:
+    def __init__(self, response: ArrayLike) -> None:
         a = np.array(response, np.float64)
         if a.shape[:2] != (4, 3) or a.ndim not in (2, 4):
             raise ValueError(
                 f"analyser must have shape (4, 3) or (4, 3, H, W), got {a.shape}")
-        w = np.ones(4) if weight is None else np.asarray(weight, np.float64)
-        if w.shape not in ((4,), (4, *a.shape[2:])):
-            raise ValueError(
-                f"weight must have shape (4,) or (4, H, W) like analyser {a.shape}, "
-                f"got {w.shape}")
-        if a.ndim == 4 and w.ndim == 1:
-            w = w[:, None, None]
-        elif a.ndim == 2 and w.ndim == 3:
-            a = a[:, :, None, None]
         self.response = a
-        self.solution = _least_squares(a, w)
+        self.solution = _least_squares(a)
         self.response.flags.writeable = self.solution.flags.writeable = False
 
     @classmethod
@@ -105,11 +94,9 @@ def _restored_analyser(
     return analyser
 
 
-def _least_squares(
-    a: NDArray[np.float64], w: NDArray[np.float64]
-) -> NDArray[np.float32]:
+def _least_squares(a: NDArray[np.float64]) -> NDArray[np.float32]:
     """Solve the normal equations by Cramer's rule: the same bits on every machine."""
-    normal = [[(w * a[:, i] * a[:, j]).sum(0) for j in range(3)] for i in range(3)]
+    normal = [[(a[:, i] * a[:, j]).sum(0) for j in range(3)] for i in range(3)]
 
     def cofactor(i: int, j: int) -> NDArray[np.float64]:
         p, q = (i + 1) % 3, (i + 2) % 3
@@ -126,7 +113,7 @@ def _least_squares(
         raise ValueError(
             "analyser must determine S0, S1 and S2, but its rows are linearly "
             f"dependent{where}")
-    rows = [[sum(minors[i][j] * w[k] * a[k, j] for j in range(3)) / determinant
+    rows = [[sum(minors[i][j] * a[k, j] for j in range(3)) / determinant
              for k in range(4)] for i in range(3)]
     return np.array(rows, np.float32)
 

@@ -13,6 +13,9 @@ __all__ = ["LEAST_RESET_DN", "LEAST_SIGNAL_DN", "cds", "clip_level", "correct"]
 LEAST_RESET_DN = 384
 """Smallest valid reset, as in libcaer: below it, the column has not recovered."""
 
+_LEAST_PEAK = 64
+"""Least number of samples in the peak of saturated pixels."""
+
 LEAST_SIGNAL_DN = 3
 """Smallest valid signal: below it, the converter is saturated."""
 
@@ -132,12 +135,7 @@ def correct(
     return result, usable
 
 
-def clip_level(
-    dn: NDArray[Any],
-    full_scale_dn: int = 1023,
-    *,
-    least_pixels: int = 64,
-) -> float | None:
+def clip_level(dn: NDArray[Any], full_scale_dn: int = 1023) -> float | None:
     """Find the DN at which pixels saturate, from the peak at the histogram's end.
 
     The value of a saturated pixel does not depend on the light, so the brightest values
@@ -151,8 +149,6 @@ def clip_level(
         Reset minus signal, as read, without dark and gain.
     full_scale_dn : int
         Largest DN of the converter.
-    least_pixels : int
-        Smallest number of samples in the peak.
 
     Returns
     -------
@@ -160,11 +156,11 @@ def clip_level(
         The lower edge of the peak; None if there is no peak in the upper quarter
         of the converter's range.
     """
-    return pile_up(dn, full_scale_dn, least_pixels)[1]
+    return pile_up(dn, full_scale_dn)[1]
 
 
 def pile_up(
-    dn: NDArray[Any], full_scale_dn: int, least_pixels: int = 64
+    dn: NDArray[Any], full_scale_dn: int
 ) -> tuple[int | None, float | None]:
     """Return the brightest value, and the lower edge of the peak; see `clip_level`.
 
@@ -186,7 +182,7 @@ def pile_up(
     low = max(top - 2 * band + 1, 0)
     peak = int(counts[low:top + 1].sum())
     scene = int(counts[max(low - 2 * band, 0):low].sum())
-    if peak < least_pixels or peak < 4 * scene + 4 * np.sqrt(scene):
+    if peak < _LEAST_PEAK or peak < 4 * scene + 4 * np.sqrt(scene):
         return top, None
     # The edge is where the density exceeds that of the scene.  It is summed over five
     # values, as 8-bit frames have only every fourth value.

@@ -239,10 +239,3 @@ def test_load_files_that_cannot_be_trusted_are_refused(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(ValueError, match=f"load.csv: .*{message}"):
         read_load(path)
-
-
-def test_a_unit_can_be_given_where_the_header_is_silent(tmp_path):
-    path = tmp_path / "load.csv"
-    path.write_text("time (s),force\n0,1\n1,2\n")
-    load = read_load(path, units={"force": "mN"})
-    np.testing.assert_allclose(load.force_n, [0.001, 0.002])

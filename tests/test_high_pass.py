@@ -112,8 +112,9 @@ def test_out_receives_the_result():
 
 def test_the_kernels_check_shapes():
     image, flags = np.zeros((2, 3), np.float32), np.zeros((2, 3), np.uint8)
-    with pytest.raises(ValueError, match="leak_held:"):
-        _kernels.leak_held(np.zeros((2, 2), CELL_DTYPE), image, flags)
+    with pytest.raises(ValueError, match="leak_shown:"):
+        _kernels.leak_shown(
+            random_events(3, SHAPE), np.zeros((2, 2), CELL_DTYPE), image, flags)
     offsets = np.zeros((1, 2), np.intp)
     for own, count, steps in ((image[:1], image, offsets), (image, image[:1], offsets),
                               (image, image, offsets[:, :1].copy())):

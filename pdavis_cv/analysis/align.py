@@ -22,6 +22,7 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 _MOST_SKEW = 2e-3  # relative; real clocks differ by less
+_TOLERANCE_S = 2e-3     # largest distance of a matched pulse from the line
 
 
 @dataclass(frozen=True)
@@ -98,8 +99,7 @@ def align_by_offset(
 
 
 def align_by_triggers(
-    trigger_us: ArrayLike, trigger_s: ArrayLike, *, tolerance_s: float = 2e-3,
-    resolution_s: float = 0.0,
+    trigger_us: ArrayLike, trigger_s: ArrayLike, *, resolution_s: float = 0.0,
 ) -> Clock:
     """Align by pulses that both clocks recorded.
 
@@ -114,8 +114,6 @@ def align_by_triggers(
         Increasing times of pulses in the recording.
     trigger_s : array_like of float, shape (M,)
         Increasing times on the other clock.
-    tolerance_s : float
-        Largest distance of a matched pulse from the line.
     resolution_s : float
         Interval at which the other side samples its trigger: each of its pulses lies
         anywhere in one, all of them perhaps at the same place.
@@ -144,7 +142,7 @@ def align_by_triggers(
     origin = int(ours[0])
     seconds = (ours - origin) / 1e6
     if len(ours) == 1 and len(theirs) == 1:
-        return Clock(origin, -float(theirs[0]), tolerance_s, how="trigger")
+        return Clock(origin, -float(theirs[0]), _TOLERANCE_S, how="trigger")
     fewer = min(len(ours), len(theirs))
     needed = max(2, min(3, fewer), -(-fewer // 2))
     matches: list[tuple[int, float, FloatArray, FloatArray]] = []
@@ -156,12 +154,12 @@ def align_by_triggers(
         # A skew near 1 % means that the shift is wrong.
         line = np.polynomial.Polynomial.fit(b, a, 1).convert().coef
         worst = float(np.max(np.abs(a - line[0] - line[1] * b)))
-        if abs(line[1] - 1) > 0.01 or worst > tolerance_s:
+        if abs(line[1] - 1) > 0.01 or worst > _TOLERANCE_S:
             continue
         matches.append((-len(a), worst, a, b))
     if not matches:
         raise ValueError(
-            f"trigger_s must match trigger_us within {tolerance_s:g} s, but the "
+            f"trigger_s must match trigger_us within {_TOLERANCE_S:g} s, but the "
             f"intervals of {len(theirs)} and {len(ours)} pulses do not")
     matches.sort(key=lambda match: match[:2])
     _, _, a, b = matches[0]

@@ -91,7 +91,7 @@ class LoadTrace:
         return np.asarray(bad, np.bool_)
 
 
-def read_load(path: str | Path, *, units: dict[str, str] | None = None) -> LoadTrace:
+def read_load(path: str | Path) -> LoadTrace:
     """Read the CSV of a test frame.
 
     The header names the columns: time, force, displacement, trigger, other words for
@@ -103,8 +103,6 @@ def read_load(path: str | Path, *, units: dict[str, str] | None = None) -> LoadT
     path : str or Path
         Columns are separated by commas, semicolons or tabs (decimal commas are
         recognised with the latter two); lines that start with ``#`` are comments.
-    units : dict of str to str, optional
-        Units that are not in the header; keys: time, force, displacement.
 
     Returns
     -------
@@ -148,8 +146,8 @@ def read_load(path: str | Path, *, units: dict[str, str] | None = None) -> LoadT
                         for cell in body[0][1] if cell.strip()):
         below = [cell.strip().strip("()[]") for cell in body[0][1]]
         body = body[1:]
-    scales = {kind: _scale(path, kind, header[i], below[i] if i < len(below) else "",
-                           (units or {}).get(kind)) for kind, i in kinds.items()}
+    scales = {kind: _scale(path, kind, header[i], below[i] if i < len(below) else "")
+              for kind, i in kinds.items()}
     return _collect(path, body, kinds, scales, decimal_comma)
 
 
@@ -207,11 +205,11 @@ def _classify(row: list[str]) -> dict[str, int]:
                                          ) else {}
 
 
-def _scale(path: Path, kind: str, name: str, below: str, given: str | None) -> float:
+def _scale(path: Path, kind: str, name: str, below: str) -> float:
     bracketed = re.search(r"[(\[]\s*([^)\]]*?)\s*[)\]]", name)
     suffix = re.search(r"_([A-Za-z\u00b5\u03bc]+)$", name)
     unit = (bracketed.group(1) if bracketed else
-            suffix.group(1) if suffix else below or given or "")
+            suffix.group(1) if suffix else below)
     key = unit if unit == "mN" else unit.lower()
     if unit == "MN":
         key = "MN"

@@ -13,6 +13,7 @@ __all__ = ["Finding", "check_recording"]
 
 _FLIPS = {"as they are": (1, 1), "mirrored left-right": (1, -1),
           "upside down": (-1, 1), "turned by 180 degrees": (-1, -1)}
+_FRAMES = 40            # that are used
 _PAIRINGS = {"diagonal neighbours": ((0, 3), (1, 2)),
              "neighbours in a row": ((0, 1), (2, 3)),
              "neighbours in a column": ((0, 2), (1, 3))}
@@ -41,7 +42,7 @@ class Finding:
 
 
 def check_recording(
-    recording: Recording, layout: Layout | None = None, *, frames: int = 40
+    recording: Recording, layout: Layout | None = None
 ) -> tuple[Finding, Finding]:
     """Check whether layout and orientation of a recording of any scene are plausible.
 
@@ -58,8 +59,6 @@ def check_recording(
         With frames; events too for the orientation.
     layout : Layout, optional
         Default: the recording's, else PDAVIS.
-    frames : int
-        Number of frames to use.
 
     Returns
     -------
@@ -84,7 +83,7 @@ def check_recording(
                 weights += _add_correlations(last, frame, change, turned)
             last, change = frame, np.zeros_like(change)
             seen += 1
-        if seen >= frames:
+        if seen >= _FRAMES:
             break
     return (_orientation(turned, weights), _pairing(layout, residual, seen))
 

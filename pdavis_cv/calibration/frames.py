@@ -14,6 +14,10 @@ __all__ = [
 
 _MAD = 1.4826
 """Standard deviation of a normal distribution per median absolute deviation."""
+_SIGMAS = 6.0
+"""Robust standard deviations of a hot or noisy pixel: one good pixel in 10^9 is."""
+_PLAUSIBLE = 0.5, 2.0
+"""Least and largest response of a pixel relative to the median."""
 
 
 class Mean(NamedTuple):
@@ -164,10 +168,10 @@ class _Sums:
                     self.step)
 
 
-def dark_frame(frames: Recording | Iterable[ApsFrame], *, sigmas: float = 6.0) -> Dark:
+def dark_frame(frames: Recording | Iterable[ApsFrame]) -> Dark:
     """Measure the dark offset from frames of a covered camera (100 in the paper).
 
-    A pixel is hot when its mean lies more than `sigmas` robust standard deviations
+    A pixel is hot when its mean lies more than six robust standard deviations
     (of the means of all pixels, and of its own error) above the median, and noisy
     when the log of its noise does the same.
 
@@ -180,8 +184,6 @@ def dark_frame(frames: Recording | Iterable[ApsFrame], *, sigmas: float = 6.0) -
     ----------
     frames : Recording or iterable of ApsFrame
         At least two frames.
-    sigmas : float
-        Threshold of the tests; 6 marks one good pixel in 10^9.
 
     Raises
     ------
@@ -197,11 +199,11 @@ def dark_frame(frames: Recording | Iterable[ApsFrame], *, sigmas: float = 6.0) -
     center, spread = _robust(mean.mean)
     noise = np.where(mean.samples > 1, mean.noise, np.nanmedian(mean.noise))
     own = noise / np.sqrt(np.maximum(mean.samples, 1))
-    hot = dark - center > sigmas * np.hypot(spread, own)
+    hot = dark - center > _SIGMAS * np.hypot(spread, own)
     # The added DN of quantisation gives a scale to a sensor without any noise.
     log_noise = np.log(noise + 1)
     middle, scale = _robust(log_noise)
-    noisy = log_noise - middle > sigmas * max(scale, 1 / np.sqrt(2 * n))
+    noisy = log_noise - middle > _SIGMAS * max(scale, 1 / np.sqrt(2 * n))
     return Dark(dark.astype(np.float32), noise.astype(np.float32),
                 ~(hot | noisy) & (mean.samples > 0), n, clamped)
 
@@ -250,13 +252,11 @@ def _uncensored(mean: Mean) -> Mean:
 def flat_frame(
     frames: Recording | Iterable[ApsFrame],
     dark: NDArray[np.float32] | None = None,
-    *,
-    limits: tuple[float, float] = (0.5, 2.0),
 ) -> Flat:
     """Measure each pixel's gain under uniform, unpolarized light.
 
-    A pixel is dead or deviating if its response lies outside `limits` times the
-    median.  All four channels share one median, as all polarizers transmit unpolarized
+    A pixel is dead or deviating if its response lies outside .5 to 2 times the median.
+    All four channels share one median, as all polarizers transmit unpolarized
     light equally.
 
     Parameters
@@ -264,8 +264,6 @@ def flat_frame(
     frames : Recording or iterable of ApsFrame
     dark : ndarray of float32, shape (H, W), optional
         Subtracted from the mean.
-    limits : (float, float)
-        Smallest and largest plausible response relative to the median.
 
     Raises
     ------
@@ -279,7 +277,8 @@ def flat_frame(
         raise ValueError(
             f"a flat frame needs light: its median response is {center:.3g} DN")
     with np.errstate(invalid="ignore"):
-        usable = (response > limits[0] * center) & (response < limits[1] * center)
+        usable = (response > _PLAUSIBLE[0] * center) & (
+            response < _PLAUSIBLE[1] * center)
     gain = np.divide(center, response, out=np.ones_like(response), where=usable)
     return Flat(gain.astype(np.float32), usable, n)
 

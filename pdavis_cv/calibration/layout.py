@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import permutations
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from pdavis_cv.recording.base import Packet, Recording
 from pdavis_cv.sensor import CHANNELS, Layout
 
-__all__ = ["Candidates", "Signals", "detect_layout", "place_signals"]
+__all__ = ["Candidates", "detect_layout"]
 
 _BIN_US = 1_000
 _PAIRINGS = (((0, 1), (2, 3)), ((0, 2), (1, 3)), ((0, 3), (1, 2)))
@@ -26,24 +25,6 @@ _PAIRINGS = (((0, 1), (2, 3)), ((0, 2), (1, 3)), ((0, 3), (1, 2)))
 ALL_LAYOUTS = tuple(
     Layout((a, b), (c, d)) for a, b, c, d in permutations(CHANNELS))
 """All 24 arrangements of four polarizers."""
-
-
-class Signals(NamedTuple):
-    """Signals of the four places of the cell; place = 2 * (row % 2) + col % 2.
-
-    Attributes
-    ----------
-    t_us : ndarray of int64, shape (N,)
-        Times of the samples.
-    signal : ndarray of float64, shape (N, 4)
-        Mean log intensity of each place, without offset and drift.
-    source : str
-        ``"frames"`` or ``"events"``.
-    """
-
-    t_us: NDArray[np.int64]
-    signal: NDArray[np.float64]
-    source: str
 
 
 @dataclass(frozen=True)
@@ -78,46 +59,26 @@ class Candidates:
     source: str
 
 
-def place_signals(
-    recording: Recording,
-    source: str,
-    *,
-    roi: tuple[int, int, int, int] | None = None,
-    start_us: int | None = None,
-    stop_us: int | None = None,
-) -> Signals:
-    """Return the mean log intensity of each place of the cell over time.
+def _place_signals(
+    recording: Recording, source: str, roi: tuple[int, int, int, int] | None
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return times and mean log intensity of each place, without offset and drift.
 
-    Parameters
-    ----------
-    recording : Recording
-        Recording of a polarizer that rotates in uniform light.
-    source : {"frames", "events"}
-        Frames at mid-exposure, or sums of events in bins of 1 ms.
-    roi : (int, int, int, int), optional
-        (x, y, width, height) of the lit region.
-    start_us, stop_us : int, optional
-        Half-open interval.
-
-    Raises
-    ------
-    ValueError
-        If there is no such source, or there are fewer than eight samples.
+    place = 2 * (row % 2) + col % 2; frames at mid-exposure, or sums of events in bins
+    of 1 ms.
     """
     if source not in _COLLECTORS:
         raise ValueError(
             f"source must be one of {sorted(_COLLECTORS)}, got {source!r}")
     height, width = recording.info.sensor_size
     x, y, w, h = roi or (0, 0, width, height)
-    packets = recording.packets(start_us, stop_us)
-    times, signal = _COLLECTORS[source](packets, (x, y, x + w, y + h))
+    times, signal = _COLLECTORS[source](recording.packets(), (x, y, x + w, y + h))
     if len(times) < 8:
         raise ValueError(
             f"a layout needs at least eight samples of {source}, got {len(times)}")
     # The constant is the gain; the slope comes from unequal ON and OFF thresholds.
     trend = np.stack([np.ones(len(times)), np.linspace(-1, 1, len(times))], 1)
-    signal = signal - trend @ np.linalg.lstsq(trend, signal, rcond=None)[0]
-    return Signals(times, signal, source)
+    return times, signal - trend @ np.linalg.lstsq(trend, signal, rcond=None)[0]
 
 
 Box = tuple[int, int, int, int]
@@ -179,8 +140,6 @@ def detect_layout(
     family: Layout | None = None,
     source: str | None = None,
     roi: tuple[int, int, int, int] | None = None,
-    start_us: int | None = None,
-    stop_us: int | None = None,
 ) -> Candidates:
     """Find the polarizer layout from a recording of a rotating polarizer.
 
@@ -200,8 +159,6 @@ def detect_layout(
         Default: events if there are any, as they do not alias.
     roi : (int, int, int, int), optional
         (x, y, width, height) of the lit region.
-    start_us, stop_us : int, optional
-        Half-open interval; two seconds are enough.
 
     Returns
     -------
@@ -217,8 +174,7 @@ def detect_layout(
         raise ValueError(f"direction must be 1, -1 or 0, got {direction!r}")
     if source is None:
         source = "frames" if recording.info.event_count == 0 else "events"
-    times, signal, _ = place_signals(
-        recording, source, roi=roi, start_us=start_us, stop_us=stop_us)
+    times, signal = _place_signals(recording, source, roi)
     scores = [float(np.mean([_correlation(signal[:, i], signal[:, j])
                              for i, j in pairing])) for pairing in _PAIRINGS]
     best, rival = np.argsort(scores)[:2]

@@ -13,6 +13,8 @@ from pdavis_cv.recording.base import ApsFrame, Recording
 
 __all__ = ["Sweep", "SweepFit", "fit_sweep", "read_sweep", "steps_in_time"]
 
+_ROUNDS = 30
+"""Most iterations of a fit."""
 _FULL_TURN = np.deg2rad(300)
 """Smallest range of angles from which terms of period 360 degrees are fitted."""
 
@@ -184,7 +186,7 @@ def _shot_noise(
     return np.asarray(np.maximum(base + slope * np.nan_to_num(at), least))
 
 
-def fit_sweep(sweep: Sweep, *, rounds: int = 30) -> SweepFit:
+def fit_sweep(sweep: Sweep) -> SweepFit:
     """Fit Malus's law to every pixel: I(a) = L(a) (c0 + c1 cos 2a + c2 sin 2a).
 
     L is the light, common to all pixels: the sum of 1, the polarization of the lamp
@@ -196,8 +198,6 @@ def fit_sweep(sweep: Sweep, *, rounds: int = 30) -> SweepFit:
     ----------
     sweep : Sweep
         From `read_sweep`.
-    rounds : int
-        Largest number of iterations.
 
     Raises
     ------
@@ -218,7 +218,7 @@ def fit_sweep(sweep: Sweep, *, rounds: int = 30) -> SweepFit:
     every = max(dn.shape[1] // 4001, 1) | 1       # odd, to sample all four channels
     some, some_weight = dn[:, ::every].astype(float), weight[:, ::every].astype(float)
     light = np.zeros(modes.shape[1])
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
         response, _ = _solve(basis * (1 + modes @ light)[:, None], some, some_weight)
         plain = basis @ response
         # I - plain = plain * (modes @ light), which is linear in the light.

@@ -164,7 +164,8 @@ class EventHighPass(Reconstructor):
     def _restore(self, state: State) -> None:
         self._clock.last_us = state["last_us"]
         self._cells = state["cells"].copy()
-        _kernels.leak_held(self._cells, self._held, self._seen.view(np.uint8))
+        self._held[:] = self._cells["value"]
+        self._seen[:] = self._cells["t"] > -np.inf
 
 
 def _neighbours(radius: int) -> NDArray[np.intp]:

@@ -41,6 +41,7 @@ IDLE = 64
 PLACES = ((1, 0), (1, 1), (0, 1), (0, 0))
 
 _SHORTEST_US, _LONGEST_US = 1_000, 1_000_000
+_KNOTS = 33         # of each curve of a table
 _SMALLEST = 1e-3  # lower bound of the intensity, so that its logarithm is finite
 
 Array = NDArray[np.float32]
@@ -368,7 +369,7 @@ class Joint(_Recurrent):
         return light
 
 
-def response_table(given: ArrayLike, light: ArrayLike, knots: int = 33) -> Array:
+def response_table(given: ArrayLike, light: ArrayLike) -> Array:
     """Fit the table from a network's output to the light, monotone, by channel.
 
     Parameters
@@ -376,12 +377,10 @@ def response_table(given: ArrayLike, light: ArrayLike, knots: int = 33) -> Array
     given, light : array_like of shape (4, N)
         Output of the network, and the light, over one period, by place in the cell (see
         `FireNet`).
-    knots : int
-        Number of points of each curve.
 
     Returns
     -------
-    ndarray of float32, shape (4, 2, knots)
+    ndarray of float32, shape (4, 2, 33)
         For ``FireNet(scaling="table", table=...)``.
 
     Raises
@@ -399,7 +398,7 @@ def response_table(given: ArrayLike, light: ArrayLike, knots: int = 33) -> Array
         one, true = one[order], _monotone(true[order])
         if one[0] == one[-1]:
             raise ValueError("given must vary in each channel, got a constant")
-        ends = np.linspace(one[0], one[-1], knots)
+        ends = np.linspace(one[0], one[-1], _KNOTS)
         known, first = np.unique(one, return_index=True)
         curves.append((ends, np.interp(ends, known, true[first])))
     return np.asarray(curves, np.float32)

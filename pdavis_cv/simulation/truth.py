@@ -82,20 +82,13 @@ class Truth:
         y, x = np.mgrid[: self.size[0], : self.size[1]]
         return self.scene.lit(x + self.origin[1], y + self.origin[0])
 
-    def save(
-        self, path: str | os.PathLike[str], *, every_us: int = 1000,
-        x: int | None = None, y: int | None = None,
-    ) -> None:
-        """Write a NumPy archive of the truth at one place, at regular times.
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a NumPy archive of the truth at the middle pixel, every millisecond.
 
         Parameters
         ----------
         path : path_like
             The file, usually ``RECORDING.truth.npz``; appears only when whole.
-        every_us : int
-            Interval of the samples.
-        x, y : int, optional
-            Pixel of the recording; default its middle.
 
         Notes
         -----
@@ -104,10 +97,9 @@ class Truth:
         recording for uniform scenes, else the pixel; ``lit`` bool (H, W);
         ``bus_t_us``, ``bus_load``, ``bus_lost``.
         """
-        t = np.arange(0, max(self.stop_us, 1), every_us, dtype=np.int64)
+        t = np.arange(0, max(self.stop_us, 1), 1000, dtype=np.int64)
         height, width = self.size
-        x = (width - 1) // 2 if x is None else x
-        y = (height - 1) // 2 if y is None else y
+        x, y = (width - 1) // 2, (height - 1) // 2
         roi = (0, 0, width, height) if self.scene.uniform else (x, y, 1, 1)
         with write_beside(path) as part, part.open("wb") as file:
             np.savez_compressed(
