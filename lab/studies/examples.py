@@ -11,7 +11,7 @@ import numpy as np
 
 import pdavis_cv
 from pdavis_cv.data import example_recording
-from pdavis_cv.simulation.examples import EXAMPLES
+from pdavis_cv.simulation.examples import EXAMPLES, example_stream
 
 LARGEST = 2_000_000
 """Bytes of a file: a choice, for the size of the wheel."""
@@ -25,7 +25,7 @@ def write(name: str) -> None:
     path = example_recording(name)
     with warnings.catch_warnings():  # AEDAT-4 does not mark invalid pixels
         warnings.simplefilter("ignore", pdavis_cv.PdavisWarning)
-        pdavis_cv.write_aedat4(path, EXAMPLES[name].stream())
+        pdavis_cv.write_aedat4(path, example_stream(name))
     print(f"wrote {path.name}: {path.stat().st_size} bytes")
 
 
@@ -35,7 +35,7 @@ def differs(name: str) -> list[str]:
     wrong = []
     if path.stat().st_size > LARGEST:
         wrong.append(f"{path.name}: more than {LARGEST} bytes")
-    made = EXAMPLES[name].stream()
+    made = example_stream(name)
     packets = list(made.packets())
     with pdavis_cv.open_recording(path) as kept:
         if kept.info.sensor_size != made.info.sensor_size:

@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
 from pdavis_cv.simulation.camera import Camera
@@ -11,42 +10,23 @@ from pdavis_cv.simulation.scenes import Scene
 from pdavis_cv.simulation.stream import SimulatedRecording
 from pdavis_cv.simulation.truth import Truth
 
-__all__ = ["EXAMPLES", "Example", "example_truth"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Example:
-    """A simulated recording of a scene by a `nominal` camera.
-
-    Parameters
-    ----------
-    scene : Scene
-        The scene.
-    size : (int, int)
-        (height, width) of the recorded region in the middle of the sensor.
-    seconds : float
-        Duration.
-    seed : int
-        Seed of the camera's specimen.
-    """
-
-    scene: Scene
-    size: tuple[int, int]
-    seconds: float = 1.0
-    seed: int = 1
-
-    def stream(self) -> SimulatedRecording:
-        """Return the recording, simulated while it is read."""
-        camera = Camera.preset("nominal", seed=self.seed, size=self.size)
-        return camera.stream(self.scene, self.seconds)
-
+__all__ = ["EXAMPLES", "example_stream", "example_truth"]
 
 # Sized so that a file has at most 2 MB.
-EXAMPLES: Mapping[str, Example] = MappingProxyType({
-    "fan": Example(scene=Fan(rpm=60.0, radius=27.0, hub=5.0), size=(56, 56)),
-    "tendon": Example(scene=Tendon(hz=4.3), size=(64, 96)),
+EXAMPLES: Mapping[str, tuple[Scene, tuple[int, int]]] = MappingProxyType({
+    "fan": (Fan(rpm=60.0, radius=27.0, hub=5.0), (56, 56)),
+    "tendon": (Tendon(hz=4.3), (64, 96)),
 })
-"""The examples, by their names in `pdavis_cv.data.example_recording`."""
+"""Scene, and (height, width) in the middle of the sensor, of the examples, by their
+names in `pdavis_cv.data.example_recording`."""
+
+
+def example_stream(name: str) -> SimulatedRecording:
+    """Return a second of an example by a `nominal` camera, simulated while read."""
+    if name not in EXAMPLES:
+        raise ValueError(f"name must be one of {', '.join(EXAMPLES)}, got {name!r}")
+    scene, size = EXAMPLES[name]
+    return Camera.preset("nominal", seed=1, size=size).stream(scene, 1.0)
 
 
 def example_truth(name: str) -> Truth:
@@ -74,6 +54,4 @@ def example_truth(name: str) -> Truth:
     >>> print(np.rad2deg(truth.aop([0, 100_000], 45, 20)))
     [0. 6.]
     """
-    if name not in EXAMPLES:
-        raise ValueError(f"name must be one of {', '.join(EXAMPLES)}, got {name!r}")
-    return EXAMPLES[name].stream().truth()
+    return example_stream(name).truth()
