@@ -24,7 +24,7 @@ from pdavis_cv import (
 from pdavis_cv.live import DvServer
 from pdavis_cv.live.dv import DvSource
 from pdavis_cv.live.dv_server import MOST_BYTES, _Client
-from pdavis_cv.recording.aedat4.writer import EVENTS, StreamEncoder
+from pdavis_cv.recording.aedat4.writer import EVENTS, FRAMES, StreamEncoder
 from pdavis_cv.tools.main import main
 
 pytestmark = pytest.mark.usefixtures("silence_tells_no_time")
@@ -140,6 +140,30 @@ def test_how_the_bytes_arrive_does_not_matter(compression, most):
     got, _ = arrived(DvSource("pair", [ours]))
     thread.join(PATIENCE_S)
     np.testing.assert_array_equal(got, events)
+
+
+def test_frames_far_ahead_of_the_events_are_not_kept(monkeypatch):
+    monkeypatch.setattr("pdavis_cv.live.dv.MOST_BYTES", 10 * 4 * 12 * 14)
+    info = recording_from_arrays(
+        random_events(9, (12, 14), stop_us=99), [ApsFrame(
+            np.ones((12, 14), np.float32), 1, 2)], sensor_size=(12, 14)).info
+    pairs = [socket.socketpair() for _ in range(2)]
+    for (theirs, _), stream in zip(pairs, (EVENTS, FRAMES), strict=True):
+        encoder = StreamEncoder(stream, info, "none")
+        theirs.sendall(encoder.head)
+        if stream == FRAMES:
+            for k in range(100):
+                at = 10**12 + 1000 * k
+                theirs.sendall(b"".join(encoder.encoded(Packet(frames=(ApsFrame(
+                    np.ones((12, 14), np.float32), at, at + 9),)))))
+        theirs.shutdown(socket.SHUT_WR)
+    source = DvSource("pair", [ours for _, ours in pairs])
+    _, frames = arrived(source)
+    assert [frame.exposure_start_us for frame in frames] == [
+        10**12 + 1000 * k for k in range(90, 100)]
+    assert [(one.kind, one.count) for one in source.problems] == [("frames ahead", 90)]
+    for theirs, _ in pairs:
+        theirs.close()
 
 
 def test_a_packet_that_stops_half_way_does_not_stop_time(monkeypatch):

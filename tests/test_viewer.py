@@ -454,20 +454,30 @@ def test_a_request_a_byte_at_a_time_ends_at_its_deadline(served, monkeypatch):
     assert ask(served, "/status")[0] == 200
 
 
-def test_more_connections_than_there_may_be_are_closed(served):
+@pytest.mark.parametrize("count", [70, 1000])
+@pytest.mark.parametrize("said", [b"", b"GET /images HTTP/1.1\r\nHost: 127"])
+def test_silent_connections_lock_nobody_out(served, count, said):
+    resource = pytest.importorskip("resource")
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(4096, most[1]), most[1]))
     with contextlib.ExitStack() as stack:
-        links = [stack.enter_context(socket.create_connection(
-            ("127.0.0.1", served.port), PATIENCE_S))
-            for _ in range(server.MOST_CONNECTIONS + 50)]
-        for link in links[server.MOST_CONNECTIONS:]:
-            try:
-                assert link.recv(1) == b""
-            except ConnectionError:
-                pass                # closed even before we asked
-    status = 0
-    while status != 200:            # until their places are free
-        with contextlib.suppress(ConnectionError, http.client.HTTPException):
-            status = ask(served, "/status")[0]
+        player = stack.enter_context(contextlib.closing(
+            http.client.HTTPConnection("127.0.0.1", served.port, PATIENCE_S)))
+        player.request("GET", "/stream.mjpg")
+        stream = player.getresponse()
+        links = []
+        for _ in range(count):
+            links.append(stack.enter_context(socket.create_connection(
+                ("127.0.0.1", served.port), PATIENCE_S)))
+            with contextlib.suppress(ConnectionError):
+                links[-1].sendall(said)
+        for path in ("/", "/status", "/snapshot.npz"):
+            assert ask(served, path)[0] == 200
+        assert b"image/jpeg" in stream.read(200)        # it was never closed
+        assert len(served._listener._open) <= server.MOST_CONNECTIONS
+        for link in links[:count - server.MOST_CONNECTIONS]:
+            with contextlib.suppress(ConnectionError):
+                assert link.recv(1) == b""      # the oldest are closed
 
 
 def test_a_ninth_client_is_told_that_there_is_no_place(served):

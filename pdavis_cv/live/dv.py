@@ -6,6 +6,7 @@ packets of int32 stream, int32 size and payload.  Frames come on a second connec
 from __future__ import annotations
 
 import contextlib
+import math
 import queue
 import socket
 import struct
@@ -25,6 +26,7 @@ from pdavis_cv._types import Events
 from pdavis_cv.errors import DeviceError
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.live.base import HEARTBEAT_S, Address, LiveSource
+from pdavis_cv.live.inbox import MOST_BYTES
 from pdavis_cv.live.replay import pieces
 from pdavis_cv.recording.aedat4 import samples
 from pdavis_cv.recording.aedat4.container import (
@@ -215,6 +217,11 @@ class DvSource(LiveSource):
             table = root_table(data, kind.encode())
             if kind == "FRME":
                 self._held.append(self._frame(data, table))
+                while len(self._held) > 1 and MOST_BYTES < 4 * sum(
+                        math.prod(frame.shape) for frame in self._held):
+                    self._held.popleft()
+                    self._log.add("frames ahead", None, "frames were dropped that came "
+                                  "too far ahead of the events")
                 if self.info.event_count == 0:
                     yield from self._released(None)
             elif kind == "IMUS":

@@ -43,6 +43,8 @@ from pdavis_cv.recording.options import SourceOptions, source_part
 __all__ = ["Session"]
 
 DEFAULT_FPS = 60
+MOST_PUSHED = 64
+"""Most images that `Session.push` returns; a second of them."""
 KEPT_IMAGES = 8
 """Most images that wait for a slow reader; beyond, the oldest is skipped."""
 KEPT_EVENTS_US = 200_000
@@ -365,7 +367,9 @@ class Session:
     # ---- images ------------------------------------------------------------------
 
     def push(self, packet: Packet) -> list[PolarFrame]:
-        """Feed a packet and return the images that can be made now.
+        """Feed a packet and return the images that can be made now, at most 64.
+
+        After a pause of the source, earlier ones are skipped, and counted in `stats`.
 
         This is for a session that was made from a RecordingInfo.
 
@@ -394,6 +398,12 @@ class Session:
     def _known(self) -> Iterator[PolarFrame]:
         try:
             while self._fusion.advance():
+                t, newest, rate = (
+                    self._fusion.t_us, self._inbox.newest_us, self._fusion.fps)
+                if rate and t is not None and newest is not None and (
+                        newest - t > MOST_PUSHED * 1e6 / float(rate)):
+                    self._skipped += 1
+                    continue
                 image = self._fusion.image()
                 self._made.add(1)
                 self._latest = (self._latest[0] + 1, image)

@@ -186,7 +186,9 @@ class Handler(BaseHTTPRequestHandler):
             self._check()
             if self.where not in known:
                 raise _Refused(404, f"there is no {self.command} {self.where[:80]}")
+            self.server.note(self.connection, True)
             known[self.where]()
+            self.server.note(self.connection, False)
         except _Refused as refused:
             self._refuse(refused.status, str(refused))
         except (TypeError, ValueError, ImportError) as error:

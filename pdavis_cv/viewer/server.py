@@ -1,8 +1,10 @@
 """serve(): the page and the stream of pictures, from the standard library's server."""
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
+import socket
 import threading
 from http.server import ThreadingHTTPServer
 from typing import Any, Self, Unpack
@@ -19,11 +21,15 @@ PORT = 8346
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Addresses of this machine that no other can reach."""
 MOST_CONNECTIONS = 64
-"""Most connections of any kind; further ones are closed at once."""
+"""Most connections of any kind; of more, those are closed that ask for nothing."""
 
 
 class _Listener(ThreadingHTTPServer):
-    """Accepts connections, at most `MOST_CONNECTIONS` at a time."""
+    """Accepts connections, at most `MOST_CONNECTIONS` at a time.
+
+    A further one takes the place of the one that has been silent the longest:
+    otherwise clients that ask for nothing would lock out all others.
+    """
 
     daemon_threads = True
     block_on_close = False
@@ -31,22 +37,38 @@ class _Listener(ThreadingHTTPServer):
 
     def __init__(self, address: tuple[str, int], site: Site) -> None:
         self.site = site
-        self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        self._lock = threading.Lock()
+        self._open: dict[Any, bool] = {}    # whether each is being answered, in order
         super().__init__(address, Handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Accept a connection, unless there are too many."""
-        if not self._free.acquire(blocking=False):
-            self.shutdown_request(request)
-            return
+        """Accept a connection, unless too many are being answered."""
+        with self._lock:
+            if len(self._open) >= MOST_CONNECTIONS:
+                oldest = next((one for one, busy in self._open.items() if not busy),
+                              None)
+                if oldest is None:
+                    self.shutdown_request(request)
+                    return
+                del self._open[oldest]
+                with contextlib.suppress(OSError):
+                    oldest.shutdown(socket.SHUT_RDWR)       # wakes its thread
+            self._open[request] = False
         super().process_request(request, client_address)
+
+    def note(self, request: Any, busy: bool) -> None:
+        """Note that a connection is being answered from now on, or silent."""
+        with self._lock:
+            if self._open.pop(request, None) is not None:
+                self._open[request] = busy
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Serve a connection in its own thread."""
         try:
             super().process_request_thread(request, client_address)
         finally:
-            self._free.release()
+            with self._lock:
+                self._open.pop(request, None)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Ignore errors of a connection: a client may leave at any time."""
