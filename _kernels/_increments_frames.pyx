@@ -274,7 +274,7 @@ cdef inline void back_one(const frame_t* frames, Py_ssize_t n, Py_ssize_t at,
         if f.variance[at] > 0.0:
             e = f.log[at] - b
             r = f.variance[at]
-            if not hot and i > 0:
+            if not hot and n > 1:
                 r += 0.25 * c.beta * min(step.passed, 1.0)
             if v <= 0.0 or e * e > GATE * (v + r):
                 b, v = f.log[at], r

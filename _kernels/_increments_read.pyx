@@ -25,7 +25,8 @@ cdef enum:
 
 cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t* node,
                           const anchor_t* a, const node_t* later, float said,
-                          double b, double v, const double* cov, const camera_t* c,
+                          double b, double v, bint alone, const double* cov,
+                          const camera_t* c,
                           const lamp_t* lamp, shown_t* s) noexcept nogil:
     cdef const stored_t* e = &p.at
     cdef double[2] since, until
@@ -90,7 +91,8 @@ cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t*
         if hot:
             s.p_behind += a.motion
         else:
-            s.p_behind += <float>(0.25 * c.beta * min(passed + after, 1.0))
+            if alone:
+                s.p_behind += <float>(0.25 * c.beta * min(passed + after, 1.0))
             s.behind -= <float>(
                 later.mean - y + until[0] * a.gain[0] + until[1] * a.gain[1])
             s.p_behind += <float>(until[0] * until[0] * s00
@@ -113,17 +115,19 @@ cdef struct frames_t:
     const lamp_t* lamp
     Py_ssize_t w, size
     int64_t epoch, ahead
+    bint alone                  # the frame after has none after it
     double[3] theta_cov         # of the thresholds' relative errors
     bint fresh                  # the frames, or their estimates, are others
 
 
 cdef inline int frames_of(tuple frames, Py_ssize_t h, Py_ssize_t w,
                           frames_t* f) except -1:
-    """Unpack (frame before, frame after or None, middles, anchors, back, epoch)."""
+    """Unpack (frame before, frame after or None, middles, alone, anchors, back, epoch).
+    """
     cdef const anchor_t[:, ::1] anchors
     cdef const float[:, :, ::1] back
     cdef const double[:, ::1] middles
-    before, later, middles, anchors, back, f.epoch = frames
+    before, later, middles, f.alone, anchors, back, f.epoch = frames
     f.w, f.size = w, h * w
     frame_of(before, h, w, &f.before)
     f.back = NULL
@@ -231,8 +235,8 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
                     float[:, :, ::1] around, bands not None):
     """Bring the planes of the listed pixels up to date for a read.
 
-    frames is (frame before, frame after or None, middles, anchors, back, epoch), times
-    (t, known, whether all frames are new).  Of the list, the entries first <= i < last
+    frames is (frame before, frame after or None, middles, whether that is the last,
+    anchors, back, epoch), times (t, known, whether all frames are new).  Of the list, the entries first <= i < last
     are processed, and of these, pixels that are due at t; due becomes when they are
     next.  around receives what the counts of each weigh, less that at the frame before,
     by way of courses; None: nothing is weighed.
@@ -311,11 +315,11 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
             around_of(p, store, &f.before, at, x, p.at.t, lags, c)
         if f.back != NULL:
             show_one(p, store, node, f.anchors + at, f.later.nodes + at,
-                     f.later.said[at], f.back[at], f.back[size + at], f.theta_cov, c,
-                     f.lamp, s)
+                     f.later.said[at], f.back[at], f.back[size + at], f.alone,
+                     f.theta_cov, c, f.lamp, s)
         else:
-            show_one(p, store, node, f.anchors + at, node, 0.0, 0.0, -1.0, f.theta_cov,
-                     c, f.lamp, s)
+            show_one(p, store, node, f.anchors + at, node, 0.0, 0.0, -1.0, False,
+                     f.theta_cov, c, f.lamp, s)
     silence.rise = silence.bend = 0.0
     knot = since = 1e-6 * <double>(t - s.last)
     if s.next > known:

@@ -248,7 +248,7 @@ class Filter:
         if self.mode == "causal":
             return self.passes(frame)
         return max(int(np.max(frame.exposure_end_us)) + 1, self.latest(frame) + (
-            50_000 if self.mode == "offline" else 0))
+            250_000 if self.mode == "offline" else 0))
 
     def sample(self, frame, at):
         """z and its variance, None if it is not usable."""
@@ -320,6 +320,7 @@ class Filter:
                     old[at], new[at], seconds, *self.sample(f, at), self.m)
         self.add(lambda g: True, levels)
         later = [f for f in self.frames if f not in passed and self.usable(f) <= seen]
+        self.alone = len(later) < 2
         looked, said = [], []
         for f in later:
             nodes, planes = self.nodes(f, self.usable(f) - 1)
@@ -381,9 +382,10 @@ class Filter:
                 else:
                     b, v = b - change - d @ level.x[1:], v + noise
             z, r = self.sample(later[i], at)
-            if i and level.hot <= HOT:
+            if len(later) > 1 and level.hot <= HOT:
+                k = max(i - 1, 0)
                 r += self.m.noise[1] / 4 * min(
-                    between(looked[i - 1][at], looked[i][at], 0.0, self.m)[2], 1)
+                    between(looked[k][at], looked[k + 1][at], 0.0, self.m)[2], 1)
             if z is not None:
                 if v <= 0 or (z - b) ** 2 > GATE * (v + r):
                     b, v = z, r
@@ -454,7 +456,8 @@ class Filter:
                 V2 += level.motion
             else:
                 J2 -= after["h"] - light.sum() + d2 @ level.x[1:]
-                V2 += d2 @ S @ d2 + gamma * n2 + beta / 4 * min(n1 + n2, 1)
+                V2 += d2 @ S @ d2 + gamma * n2
+                V2 += beta / 4 * min(n1 + n2, 1) * self.alone
                 common = -d2 @ (level.P[0, 1:] + S @ d1)
             V2 += each * n2 + alpha * 1e-6 * abs(t - self.mid(later, at))
         if has1 and has2:

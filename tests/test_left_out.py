@@ -251,11 +251,11 @@ def test_too_little_is_refused():
 REAL = {
     "held": (0.809, 0.038), "linear": (0.594, 0.029), "held + events": (0.444, 0.034),
     "linear + events": (0.371, 0.027), "cf": (0.377, 0.034),
-    "kalman": (0.273, 0.028), "kalman causal": (0.305, 0.031),
-    "kalman offline": (0.230, 0.027)}
+    "kalman": (0.233, 0.027), "kalman causal": (0.287, 0.032),
+    "kalman offline": (0.206, 0.026)}
 # The same of methods that are told nothing.
-UNTOLD = {"kalman": (0.268, 0.028), "kalman causal": (0.355, 0.031),
-          "kalman offline": (0.237, 0.027)}
+UNTOLD = {"kalman": (0.226, 0.027), "kalman causal": (0.291, 0.032),
+          "kalman offline": (0.202, 0.026)}
 
 
 @pytest.fixture(scope="module")

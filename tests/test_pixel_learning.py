@@ -162,12 +162,20 @@ def test_a_scale_from_events_replaces_what_was_told():
 
 def test_a_black_level_is_missing_in_frames_not_in_light():
     model = PixelModel(theta=np.array([0.2, 0.2]), black=4.0)
-    log = np.log(np.array([[4.001, 5.0, 12.0]], np.float32))
-    variance = np.full_like(log, 0.01)
-    shown, of_shown = model.in_frames(log, variance)
-    np.testing.assert_allclose(np.exp(shown), [[0.02, 1.0, 8.0]], rtol=1e-5)
-    np.testing.assert_allclose(np.sqrt(of_shown), [[20.005, 0.5, 0.15]], rtol=1e-3)
-    assert model.replace(black=0.0).in_frames(log, variance) == (log, variance)
+    light = np.array([[1.0, 3.0, 4.001, 5.0, 12.0]], np.float32)
+    shown, of_shown = model.in_frames(np.log(light), np.full_like(light, 0.01))
+    for mean, got, variance in zip(
+            light[0], np.exp(shown[0]), of_shown[0], strict=True):
+        # What is left of a normal distribution above the black level.
+        x = 1e-5 * (np.arange(2_000_000) + 0.5)
+        weight = np.exp(-((x + 4 - mean) ** 2) / (2 * (0.1 * mean) ** 2))
+        weight /= weight.sum()
+        right = float(x @ weight)
+        assert got == pytest.approx(right, rel=1e-3)
+        assert variance == pytest.approx(
+            float((x - right) ** 2 @ weight) / right**2, rel=0.01)
+    log = np.log(light)
+    assert model.replace(black=0.0).in_frames(log, log) == (log, log)
 
 
 def test_a_black_level_found_before_stays_without_evidence_against_it():
@@ -243,3 +251,24 @@ def test_a_busy_sensor_is_sampled_by_fewer_pixels_for_longer():
     other.restore(sample.state())
     np.testing.assert_array_equal(other.sampled().events, data.events)
     np.testing.assert_array_equal(other.pixels, sample.pixels)
+
+
+def test_intervals_without_events_are_not_learned_from():
+    camera = Camera.preset("typical", seed=1305, size=SIZE)
+    recording, _ = camera.record(RotatingPolarizer(rpm=61), 2.0)
+    packets = list(recording.packets())
+    frames = [frame for packet in packets for frame in packet.frames]
+    events = recording.events()
+    for one, following in zip(frames[::2], frames[1::2], strict=False):
+        t = events["t"] + camera.faults.frame_offset_us
+        events = events[(t < one.exposure_end_us) | (t > following.exposure_start_us)]
+    sample = PixelSample(SIZE)
+    sample.add_events(events)
+    for frame in frames:
+        sample.add_frame(frame)
+    found = learn(sample, TOLD, 0)
+    truth = [camera.maps[name].mean() for name in ("theta_off", "theta_on")]
+    np.testing.assert_allclose(found.model.thresholds, truth, rtol=0.15)
+    assert found.clock_offset_us == pytest.approx(-3000, abs=2000)
+    # Where they are missing, light moves on.
+    assert found.model.noise[0] > 0.2

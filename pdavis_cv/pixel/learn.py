@@ -49,6 +49,9 @@ EVIDENCE, EVIDENCE_OF_BLACK = 4.0, 25.0
 errors; and five for a black level, which must also lower the loss of pairs by four: it
 makes up for much that is not modelled (2 to 3 DN/ms were found where none was)."""
 
+LEAST_WHOLE = 0.25
+"""Share of rows without missing events, from which on the others are left out."""
+
 STEADY = 0.1
 """Variance of J within both exposures up to which a pair tells the black level: what
 moves more depends on what happens between events."""
@@ -217,6 +220,9 @@ def learn(
     pairs = pairs_of(data, clock)
     if pairs is None or len(data.events) < 100:
         return LearnedPixels(model=model, clock_offset_us=told, gains=gains, told=True)
+    every = pairs
+    if pairs.whole.mean() > LEAST_WHOLE:
+        pairs = pairs.part(pairs.whole)
     fit = _with(fit, dead_s=_dead_time(data))
     fit = _fitted(data, pairs, priors, fit, 0.0 if before is None else before.black)
     fit = _with(fit, thresholds=fit.model.theta)
@@ -230,6 +236,10 @@ def learn(
     short = thinned(pairs.part(pairs.short), MOST_FURTHER)
     model = features.further_weights(data, past, short, model, fit.gains, fit.shift_us,
                             lookahead_us)
+    if not every.whole.all():
+        # Light moves on where events are missing.
+        rows = _rows(data, past, every, _with(fit, noise=model.noise))
+        model = model.replace(noise=_noise(rows, fit.model))
     return LearnedPixels(model=model, clock_offset_us=fit.shift_us, gains=fit.gains,
                          sigmas=fit.sigmas)
 

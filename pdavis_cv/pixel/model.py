@@ -1,6 +1,7 @@
 """The numbers of a camera that turn events and frames into log intensity."""
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any
@@ -24,9 +25,6 @@ SHORT_US, SAMPLES = 1500, 7
 
 _LEAST_VARIANCE = 1e-4
 """ln^2: what a sample errs by at least, one per cent; no pixel is exactly linear."""
-
-_LEAST = 0.005
-"""Least light that frames show, in black levels; numerical."""
 
 
 def _zeros(*shape: int) -> NDArray[np.float64]:
@@ -116,11 +114,17 @@ class PixelModel:
         """
         if self.black <= 0:
             return log_intensity, variance
-        light = np.exp(log_intensity)
-        shown = np.maximum(
-            light - np.float32(self.black), np.float32(_LEAST * self.black))
-        factor: NDArray[np.float32] = np.square(light / shown, dtype=np.float32)
-        return np.log(shown), variance * factor
+        from scipy.special import log_ndtr  # slow to load
+
+        # Light is normal about what is estimated, and frames show none below 0: the
+        # mean and the variance of the normal distribution that is cut off there.
+        light = np.exp(log_intensity, dtype=np.float64)
+        sigma = light * np.sqrt(np.maximum(variance, 1e-12))
+        z = np.maximum((light - self.black) / sigma, -1e2)
+        cut = np.exp(-0.5 * z * z - log_ndtr(z)) / math.sqrt(2 * math.pi)
+        relative = (1 - cut * (z + cut)) / (z + cut) ** 2
+        return (np.log(sigma * (z + cut)).astype(np.float32),
+                np.clip(relative, 0, 1).astype(np.float32))
 
     def frame_variance(
         self, dn: NDArray[np.floating], ms: NDArray[np.floating],

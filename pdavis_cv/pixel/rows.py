@@ -27,6 +27,11 @@ EDGE_US = 40_000
 MOST_ROWS, MOST_PER_PAIR = 36_000, 1_200
 """Upper bounds of rows, by pair as well: the time it takes."""
 
+MISSING, OF_INTERVAL = 30.0, 0.2
+"""Events that would come in a silence of all pixels at their mean rate, from which on
+they count as missing: so many do not fail to come by chance.  And its least length in
+intervals between frames, for it to matter."""
+
 LEAST_DN = 8
 """Least DN of a sample that is used."""
 
@@ -46,6 +51,8 @@ class Pairs:
         (frame, begin and end), us.
     short : ndarray of bool, shape (N,)
         Whether the frames follow each other.
+    whole : ndarray of bool, shape (N,)
+        Whether no events are missing between them.
     """
 
     pixel: NDArray[np.int32]
@@ -54,12 +61,13 @@ class Pairs:
     ms: Floats
     exposure: NDArray[np.int64]
     short: NDArray[np.bool_]
+    whole: NDArray[np.bool_]
 
     def part(self, keep: NDArray[np.bool_]) -> Pairs:
         """Return some of the rows."""
         pair = np.unique(self.pair[keep], return_inverse=True)[1]
         return Pairs(self.pixel[keep], pair, self.dn[:, keep], self.ms[:, keep],
-                     self.exposure[..., keep], self.short[keep])
+                     self.exposure[..., keep], self.short[keep], self.whole[keep])
 
     @property
     def seconds(self) -> Floats:
@@ -98,6 +106,10 @@ def pairs_of(data: Sampled, shift_us: float) -> Pairs | None:
                 found.append((a, b, span == 1, chosen))
     if not found:
         return None
+    silence = np.diff(data.t)
+    hole = silence * len(data.t) > MISSING * silence.sum()
+    hole &= silence > OF_INTERVAL * (mids[-1] - mids[0]) / (len(frames) - 1)
+    begins, ends = data.t[:-1][hole], data.t[1:][hole]
     most = min(MOST_PER_PAIR, max(MOST_ROWS // len(found), 40))
     rows = []
     for number, (a, b, short, chosen) in enumerate(found):
@@ -107,7 +119,9 @@ def pairs_of(data: Sampled, shift_us: float) -> Pairs | None:
         ms = np.maximum(1e-3 * (exposure[:, 1] - exposure[:, 0]), 0)
         rows.append((chosen.astype(np.int32), np.full(len(chosen), number),
                      np.stack([frames[k].dn[chosen] for k in (a, b)]),
-                     np.where(ms > 0, ms, 1), exposure, np.full(len(chosen), short)))
+                     np.where(ms > 0, ms, 1), exposure, np.full(len(chosen), short),
+                     np.full(len(chosen), np.searchsorted(ends, mids[a], "right")
+                             == np.searchsorted(begins, mids[b]))))
     return Pairs(*(np.concatenate(each, -1) for each in zip(*rows, strict=True)))
 
 

@@ -42,9 +42,6 @@ __all__ = ["KalmanFilter"]
 LOOKAHEADS = {"buffered": 50_000, "causal": 0, "offline": 500_000}
 """How long after its time an image is made, us: events and frames up to then count."""
 
-WAIT_US = 50_000
-"""How long the next event of a pixel is waited for at most, us."""
-
 _REACH_US = 5_000 - round(1e6 * min(LAGS_S))    # how far back events count, us
 _AHEAD_US = round(1e6 * max(LAGS_S))
 _LATE_US = 500_000      # how late a frame may come, us
@@ -123,7 +120,8 @@ class KalmanFilter(Reconstructor):
                 f"in mode 'causal', got {lookahead_us} in {mode!r}")
         self._mode, self.lookahead_us = mode, lookahead_us
         self.takes_late_frames = mode == "causal"
-        self._wait_us = min(lookahead_us, WAIT_US)
+        # What is known beyond a frame after an image, offline: half, to have both.
+        self._wait_us = lookahead_us // 2
         self._theta = tuple(checked_threshold(name, theta, self.shape) for name, theta
                             in (("theta_off", theta_off), ("theta_on", theta_on)))
         self._ratio_sigma = positive("ratio_sigma", ratio_sigma)

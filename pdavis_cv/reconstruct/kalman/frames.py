@@ -97,10 +97,10 @@ class Waiting:
 
 def between(
     before: Waiting | None, later: list[Waiting], shape: tuple[int, int], t_us: int
-) -> tuple[object, object, NDArray[np.float64]]:
+) -> tuple[object, object, NDArray[np.float64], bool]:
     """Return frames before and after a time, as kernels take them, and their middles.
 
-    A frame before that is not there has no sample.
+    A frame before that is not there has no sample.  Last is whether only one is after.
     """
     here = np.full(shape[1], t_us)
     middles = np.stack([here if before is None else before.times[2],
@@ -110,7 +110,7 @@ def between(
         np.zeros((*shape, 2), np.float32), np.zeros((3, shape[1]), np.int64), 1,
         later[0].around if later else np.zeros((3, *shape))
     ) if before is None else before.arrays
-    return arrays, later[0].arrays if later else None, middles
+    return arrays, later[0].arrays if later else None, middles, len(later) < 2
 
 
 def thresholds_of(
