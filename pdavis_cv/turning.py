@@ -77,11 +77,6 @@ class TurningAnalyser:
         """Whether the speed has to be found from events."""
         return self.rpm is None and self.triggers is None
 
-    @property
-    def sign(self) -> int:
-        """1 if it turns counter-clockwise as displayed, -1 if clockwise."""
-        return -1 if self.rpm is not None and self.rpm < 0 else 1
-
     def segments(self, pulses_us: ArrayLike | None = None) -> NDArray[np.float64]:
         """Return twice the angle as straight lines in time.
 
@@ -134,7 +129,7 @@ class PulseClock:
 
     def __init__(self, analyser: TurningAnalyser) -> None:
         assert analyser.triggers is not None
-        self._step = 4 * math.pi / analyser.triggers * analyser.sign
+        self._step = math.copysign(4 * math.pi / analyser.triggers, analyser.rpm or 1)
         self._phase = 2 * analyser.phase
         self._period = self._nominal = None if analyser.rpm is None else (
             60e6 / abs(analyser.rpm) / analyser.triggers)

@@ -2,7 +2,6 @@
 from .align import (
     Clock as Clock,
     align_by_correlation as align_by_correlation,
-    align_by_offset as align_by_offset,
     align_by_triggers as align_by_triggers,
 )
 from .cycles import PhaseLaw as PhaseLaw

@@ -15,7 +15,6 @@ from pdavis_cv.errors import AnalysisWarning
 __all__ = [
     "Clock",
     "align_by_correlation",
-    "align_by_offset",
     "align_by_triggers",
 ]
 
@@ -67,35 +66,6 @@ class Clock:
         """Convert times of the recording to the other clock's time, s."""
         t = (np.asarray(t_us, np.int64) - self.origin_us) / 1e6
         return np.asarray((t - self.offset_s) / (1 + self.skew_ppm * 1e-6))
-
-
-def align_by_offset(
-    origin_us: int, offset_s: float, *, skew_ppm: float = 0.0
-) -> Clock:
-    """Return a clock with a given offset and skew.
-
-    Parameters
-    ----------
-    origin_us : int
-        Time of the recording relative to which the offset is given, e.g. its start.
-    offset_s : float
-        Seconds from there to the other clock's zero.
-    skew_ppm : float
-        By how much the other clock is slower, parts per million.
-
-    Returns
-    -------
-    Clock
-
-    Raises
-    ------
-    ValueError
-        If a number is not finite.
-    """
-    for name, value in (("offset_s", offset_s), ("skew_ppm", skew_ppm)):
-        if not np.isfinite(value):
-            raise ValueError(f"{name} must be finite, got {value!r}")
-    return Clock(int(origin_us), float(offset_s), skew_ppm=float(skew_ppm))
 
 
 def align_by_triggers(

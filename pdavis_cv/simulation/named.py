@@ -33,9 +33,6 @@ SCENES = {
 
 _STEPS = 37                 # of MalusSweep: 0..180 degrees in steps of 5
 _LEVELS = 13                # of IrradianceSweep
-# DN per ms at 1 uW/cm2, by camera: see `IrradianceSweep`.
-_BRIGHT = {"sony": 0.68}
-_BRIGHT_DN_PER_MS = 27.0
 
 
 def named_scene(
@@ -91,7 +88,7 @@ def named_scene(
             hold_us=hold_us, move_us=hold_us / 10, start_angle=start_angle),
         "dr": IrradianceSweep(
             rpm=rpm, hold_us=seconds * 1e6 / _LEVELS, start_angle=start_angle,
-            dn_per_ms=_BRIGHT.get(camera, _BRIGHT_DN_PER_MS)),
+            dn_per_ms=0.68 if camera == "sony" else 27.0),
         "texture": Texture(seed=seed),
         "flat": FlatLight(),
         "dark": FlatLight(s0=0.0),
