@@ -27,6 +27,7 @@ KERNELS = (
     "_aps",
     "_build",
     "_bus",
+    "_clock",
     "_davis_usb",
     "_degree",
     "_demosaic",

@@ -6,6 +6,7 @@ from ._aop_events import aop_event_stokes
 from ._aps import cds, correct
 from ._build import DEBUG
 from ._bus import read_out, sort_events
+from ._clock import settle
 from ._davis_usb import davis_words
 from ._degree import degree_frame, lasting_degree
 from ._demosaic import (

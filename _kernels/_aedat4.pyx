@@ -1,111 +1,81 @@
 """AEDAT-4 payloads: event structs and vectors of tables."""
-from libc.stdint cimport int16_t, int32_t, int64_t, uint8_t, uint16_t, uint32_t
+from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t, uint32_t
 from libc.string cimport memcpy, memset
 
-from _kernels._check cimport (
-    BACKWARD, FILLED, FIRST_BAD, JUMP, LAST, OFFSET, STATE, far, take)
+from _kernels._check cimport BACKWARD, FILLED, LAST, ORDERED, OUTSIDE, STATE
 from _kernels._types cimport event_t
 
 cdef enum:
     STRIDE = 16     # int64 t, int16 x, int16 y, bool p, three bytes of padding
 
 
-cdef inline Py_ssize_t plain(const uint8_t* source, Py_ssize_t n, int64_t height,
-                             int64_t width, bint flip, int64_t least, int64_t most,
-                             int64_t offset, event_t* out) noexcept nogil:
-    """Decode events while they are inside, and in order from least on; return how many.
-
-    It reads one event beyond the last that it decodes: source holds n + 1.
-    """
-    cdef Py_ssize_t i
-    cdef int64_t t, following
+cdef inline Py_ssize_t plain(const uint8_t* source, Py_ssize_t n, uint32_t right,
+                             uint32_t bottom, bint flip, int64_t first, int64_t last,
+                             int64_t* state, event_t* out) noexcept nogil:
+    """Decode events up to the first that lies outside; return how many."""
+    cdef Py_ssize_t i, done = n
+    cdef int64_t t, before = state[LAST]
+    cdef bint fall = False
     cdef uint32_t x, y, p
-    cdef uint32_t right = <uint32_t>(width - 1), bottom = <uint32_t>(height - 1)
-    memcpy(&t, source, 8)
-    if t < least:
-        return 0
     for i in range(n):
-        memcpy(&following, source + 16, 8)
+        memcpy(&t, source, 8)
         # Unsigned: negative coordinates become large.
         x = <uint32_t>source[8] | <uint32_t>source[9] << 8
         y = <uint32_t>source[10] | <uint32_t>source[11] << 8
         p = source[12]
         if flip:
             y = bottom - y
-        if (t > most) | (following < t) | (x > right) | (y > bottom) | (p > 1):
-            return i
-        out[i].t = t + offset
+        if (t < first) | (t > last) | (x > right) | (y > bottom) | (p > 1):
+            done = i
+            break
+        fall |= t < before
+        before = t
+        out[i].t = t
         out[i].x = <uint16_t>x
         out[i].y = <uint16_t>y
         out[i].p = <uint8_t>p
-        t = following
         source += STRIDE
-    return n
+    state[LAST] = before
+    if fall:
+        state[ORDERED] = -1
+    return done
 
 
-def aedat4_events(const uint8_t[::1] data not None, Py_ssize_t at, Py_ssize_t begin,
-                  Py_ssize_t n, Py_ssize_t height, Py_ssize_t width, bint flip,
-                  int64_t first, int64_t last, int64_t[::1] state not None,
+def aedat4_events(const uint8_t[::1] data not None, Py_ssize_t at, Py_ssize_t n,
+                  Py_ssize_t height, Py_ssize_t width, bint flip, int64_t first,
+                  int64_t last, int64_t[::1] state not None,
                   event_t[::1] out not None):
-    """Decode events begin .. n of the vector at byte at into out; return an index.
+    """Append the n events of the vector at byte at to out.
 
-    Returns n, or the index of an event before which time jumped back by more than
-    a second.  state is as in _check.pxd.  flip turns rows upside down.  Events
-    whose time in the file is not in first .. last are dropped.
+    state is as in _check.pxd.  flip turns rows upside down.  Events whose time is not
+    in first .. last are dropped.
     """
-    cdef Py_ssize_t i = begin, run
-    cdef int64_t t, following, least, most
-    cdef int16_t x, y
+    cdef Py_ssize_t i = 0, run
+    cdef int64_t t
     cdef const uint8_t* source
-    cdef int64_t* s
-    cdef bint ordinary = 0 < height <= 1 << 15 and 0 < width <= 1 << 15
     if state.shape[0] != STATE:
         raise ValueError("aedat4_events: state must hold 7 numbers")
-    if (begin < 0 or n < begin or at < 0 or at > data.shape[0]
-            or n > (data.shape[0] - at) // STRIDE):
+    if not (0 < height <= 1 << 15 and 0 < width <= 1 << 15):
+        raise ValueError("aedat4_events: a sensor has 1 to 32768 rows and columns")
+    if n < 0 or at < 0 or at > data.shape[0] or n > (data.shape[0] - at) // STRIDE:
         raise ValueError("aedat4_events: events lie outside data")
-    if state[FILLED] < 0 or state[FILLED] > out.shape[0] - (n - begin):
+    if state[FILLED] < 0 or state[FILLED] > out.shape[0] - n:
         raise ValueError("aedat4_events: out is too small")
-    if n == begin:
-        return n
-    s = &state[0]
-    s[FIRST_BAD] = -1
+    if n == 0:
+        return
     source = &data[0] + at
     with nogil:
-        while i < n:
-            if ordinary and not far(s[OFFSET]) and not far(s[LAST]):
-                least = s[LAST] - s[OFFSET]
-                most = (<int64_t>1 << 61) - s[OFFSET]
-                run = plain(
-                    source + i * STRIDE, n - 1 - i, height, width, flip,
-                    least if least > first else first, most if most < last else last,
-                    s[OFFSET], &out[0] + s[FILLED])
-                if run > 0:
-                    i += run
-                    s[FILLED] += run
-                    s[LAST] = out[s[FILLED] - 1].t
-            memcpy(&t, source + i * STRIDE, 8)
-            memcpy(&x, source + i * STRIDE + 8, 2)
-            memcpy(&y, source + i * STRIDE + 10, 2)
-            if t < first or t > last:
-                s[BACKWARD] += 1
-                if s[FIRST_BAD] < 0:
-                    s[FIRST_BAD] = i
-                i += 1
-                continue
-            following = t
-            if i + 1 < n:
-                memcpy(&following, source + (i + 1) * STRIDE, 8)
-            # Unsigned sums: a damaged time may be anything.
-            if take(&out[0] + s[FILLED], i,
-                    <int64_t>(<unsigned long long>t + <unsigned long long>s[OFFSET]),
-                    <int64_t>(<unsigned long long>following
-                              + <unsigned long long>s[OFFSET]),
-                    x, height - 1 - y if flip else y, source[i * STRIDE + 12],
-                    height, width, s) == JUMP:
+        while True:
+            run = plain(source + i * STRIDE, n - i, <uint32_t>(width - 1),
+                        <uint32_t>(height - 1), flip, first, last,
+                        &state[0], &out[0] + state[FILLED])
+            state[FILLED] += run
+            i += run
+            if i == n:
                 break
+            memcpy(&t, source + i * STRIDE, 8)
+            state[BACKWARD if t < first or t > last else OUTSIDE] += 1
             i += 1
-    return i
 
 
 cdef inline Py_ssize_t field_at(const uint8_t* data, Py_ssize_t size,

@@ -2,13 +2,8 @@
 from libc.stdint cimport int64_t, uint8_t, uint64_t
 from libc.string cimport memchr, memcpy
 
-from _kernels._check cimport (
-    BACKWARD, FILLED, FIRST_BAD, JUMP as FALLS, LAST, OFFSET, STATE, add, far)
+from _kernels._check cimport FILLED, STATE, put
 from _kernels._types cimport event_t
-
-cdef enum:
-    FULL = 0        # all lines are read, or the output is full
-    JUMP = 1        # time falls by more than a second before this line
 
 # Units of the integer part of times.
 cdef enum:
@@ -239,39 +234,26 @@ cdef inline Py_ssize_t any_line(const uint8_t* source, Py_ssize_t at, Py_ssize_t
     return at if source[at] == c'\n' else BAD
 
 
-cdef inline bint goes_on(const uint8_t* source, Py_ssize_t at, Py_ssize_t n,
-                         const int* order, int columns, bint more, int unit,
-                         const int64_t* s) noexcept nogil:
-    """Tell whether the line at a place is an event that is later than the last."""
-    cdef int64_t[4] row
-    cdef int64_t nano = 0, t
-    if at >= n or any_line(source, at, n, order, columns, more, row, &nano) < 0:
-        return False
-    t = in_us(row[0], nano, unit)
-    return not far(t) and t + s[OFFSET] >= s[LAST]
-
-
 def text_events(const uint8_t[::1] data not None, Py_ssize_t begin,
                 const int64_t[::1] order not None, bint more, int unit,
                 Py_ssize_t height, Py_ssize_t width, int64_t[::1] state not None,
                 event_t[::1] out not None):
-    """Read lines of numbers from begin on; return (how far, bad lines, why, t).
+    """Read lines of numbers from begin on; return (how far, bad lines).
 
     Whole lines only, while out has room.  order says which of t, x, y, p the first
     column of a line is, the second, and so on, -1 for none of these; more whether
     further columns may follow; unit that of times: 0 us, 1 s, 2 ns, 3 ms.  A line
     without the four numbers is bad, unless it is empty or begins with #, % or a letter;
-    a negative p is OFF.  Why is 1 before a line whose time, t in us, lies more than a
-    second before the last.
+    a negative p is OFF.
     """
     cdef Py_ssize_t i = begin, n = data.shape[0], bad = 0, at, k
     cdef Py_ssize_t room = out.shape[0]
     cdef const uint8_t* source
-    cdef int64_t whole = 0, nano = 0, t = 0
+    cdef int64_t nano = 0
     cdef int64_t[4] row
     cdef int[MOST_COLUMNS] places
     cdef int64_t[STATE] s
-    cdef int why = FULL, end, columns = <int>order.shape[0], found = 0
+    cdef int end, columns = <int>order.shape[0], found = 0
     cdef bint plain
     if columns < 4 or columns > MOST_COLUMNS or state.shape[0] != STATE or (
             begin < 0 or begin > n):
@@ -292,11 +274,10 @@ def text_events(const uint8_t[::1] data not None, Py_ssize_t begin,
     while n > begin and data[n - 1] != c'\n':
         n -= 1
     if begin == n:
-        return n, 0, FULL, 0
+        return n, 0
     source = &data[0]
     for k in range(STATE):     # local, so that writing events cannot change them
         s[k] = state[k]
-    s[FIRST_BAD] = -1
     with nogil:
         while i < n and s[FILLED] < room:
             end = plain_line(source + i, places, row, &nano) if (
@@ -304,19 +285,12 @@ def text_events(const uint8_t[::1] data not None, Py_ssize_t begin,
             at = i + end if end >= 0 else any_line(
                 source, i, n, places, columns, more, row, &nano)
             if at >= 0:
-                t = in_us(row[0], nano, unit)
-                whole = t if far(t) else t + s[OFFSET]
-                if add(&out[0], i, whole, row[1], row[2], max(row[3], 0), height,
-                       width, 1, s) == FALLS:
-                    if not goes_on(source, at + 1, n, places, columns, more, unit,
-                                   s):
-                        why = JUMP
-                        break
-                    s[BACKWARD] += 1
+                put(&out[0], in_us(row[0], nano, unit), row[1], row[2], max(row[3], 0),
+                    height, width, s)
             else:
                 bad += at == BAD
                 at = <const uint8_t*>memchr(source + i, c'\n', n - i) - source
             i = at + 1
     for k in range(STATE):
         state[k] = s[k]
-    return i, bad, why, t
+    return i, bad

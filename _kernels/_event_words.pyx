@@ -6,8 +6,7 @@ State of time and checks of events are as in _check.pxd.
 from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t, uint32_t
 from libc.string cimport memcpy
 
-from _kernels._check cimport (
-    BACKWARD, FILLED, FIRST_BAD, JUMP as FALLS, LAST, OFFSET, STATE, add, far)
+from _kernels._check cimport FILLED, LAST, ORDERED, STATE, put
 from _kernels._types cimport event_t
 
 # Indices in the state of a stream of words.
@@ -25,11 +24,6 @@ cdef enum:
 cdef enum:
     NEAR = 4096     # words that are searched for the next upper bits of time
     HIGHS = 3       # number of these that are compared: one may be damaged too
-    GROUP = 64      # most events that share a damaged word of time in EVT3
-
-cdef enum:
-    FULL = 0        # all words are decoded, or the output is full
-    JUMP = 1        # time falls by more than a second before this word
 
 
 ctypedef fused word_t:
@@ -82,17 +76,15 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
                Py_ssize_t height, Py_ssize_t width, int64_t[::1] stream not None,
                int64_t[::1] state not None, int64_t[:, ::1] triggers not None,
                event_t[::1] out not None):
-    """Decode EVT2 words from begin on while out has room; return (index, reason).
+    """Decode EVT2 words from begin on while out has room; return how far.
 
-    The reason is 1 before a word whose time, stream[1], lies more than a second before
-    the last.  stream and state are kept from call to call.  External triggers are
-    written to the first stream[7] rows of triggers: time, and 1 for a rising edge;
-    decoding also ends where these are full.
+    stream and state are kept from call to call.  External triggers are written to the
+    first stream[7] rows of triggers: time, and 1 for a rising edge; decoding also ends
+    where these are full.
     """
     cdef Py_ssize_t i = begin, n = words.shape[0], room = out.shape[0], after
     cdef uint32_t word, kind
     cdef int64_t high, t
-    cdef int why = FULL, took
     cdef int64_t* s
     if stream.shape[0] != WORD_STATE or state.shape[0] != STATE or (
             triggers.shape[0] < 1 or triggers.shape[1] != 2):
@@ -100,7 +92,6 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
     if begin < 0 or begin > n or state[FILLED] < 0 or state[FILLED] > room:
         raise ValueError("evt2_words: begin or state lies outside an array")
     s = &state[0]
-    s[FIRST_BAD] = -1
     stream[TRIGGERS] = 0
     with nogil:
         while i < n and s[FILLED] < room:
@@ -123,18 +114,14 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
                 else:
                     t = stream[LOOPS] + (stream[HIGH] << 6 | (word >> 22 & 0x3F))
                     stream[TIME] = t
-                    t += s[2]
-                    took = add(&out[0], i, t, word >> 11 & 0x7FF, word & 0x7FF, kind,
-                               height, width, 1, s)
-                    if took == FALLS:
-                        why = JUMP
-                        break
+                    put(&out[0], t, word >> 11 & 0x7FF, word & 0x7FF, kind, height,
+                        width, s)
             elif kind == 10:
                 t = stream[LOOPS] + (max(stream[HIGH], 0) << 6 | (word >> 22 & 0x3F))
-                if not trigger(t + s[OFFSET], word & 1, triggers, &stream[0]):
+                if not trigger(t, word & 1, triggers, &stream[0]):
                     break
             i += 1
-    return i, why
+    return i
 
 
 cdef inline Py_ssize_t single_events(
@@ -147,8 +134,8 @@ cdef inline Py_ssize_t single_events(
     cannot be predicted, so they are selected by masks, without branches.
     """
     cdef int64_t high = at[LOOPS] + (at[HIGH] << 12), time = at[TIME], row = at[ROW]
-    cdef int64_t last = s[LAST], t, x, mask
-    cdef int64_t most = <int64_t>1 << 61
+    cdef int64_t x, mask, last = s[LAST]
+    cdef bint fall = False
     cdef Py_ssize_t k = s[FILLED]
     while i + 3 < n and k <= room:
         mask = -<int64_t>(words[i] >> 12 == 6)
@@ -157,19 +144,19 @@ cdef inline Py_ssize_t single_events(
         mask = -<int64_t>(words[i] >> 12 == 0)
         row += ((words[i] & 0x7FF) - row) & mask
         i -= mask
-        t = time + s[OFFSET]
         x = words[i] & 0x7FF
-        if (words[i] >> 12 != 2) | (x >= width) | (row >= height) | (t < last) | (
-                t > most):
+        if (words[i] >> 12 != 2) | (x >= width) | (row >= height):
             break
-        out[k].t = t
+        fall |= time < last
+        out[k].t = last = time
         out[k].x = <uint16_t>x
         out[k].y = <uint16_t>row
         out[k].p = words[i] >> 11 & 1
-        last = t
         k += 1
         i += 1
     at[TIME], at[ROW], s[LAST], s[FILLED] = time, row, last, k
+    if fall:
+        s[ORDERED] = -1
     return i
 
 
@@ -177,14 +164,14 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
                Py_ssize_t height, Py_ssize_t width, int64_t[::1] stream not None,
                int64_t[::1] state not None, int64_t[:, ::1] triggers not None,
                event_t[::1] out not None):
-    """Decode EVT3 words while out has room for 12 events; return (index, reason).
+    """Decode EVT3 words while out has room for 12 events; return how far.
 
     As `evt2_words`.
     """
     cdef Py_ssize_t i = begin, n = words.shape[0], room = out.shape[0] - 12, after
     cdef uint32_t word, kind, bits
-    cdef int64_t high, x, p, t
-    cdef int why = FULL, count, k
+    cdef int64_t high, x, p
+    cdef int count, k
     cdef int64_t[STATE] s
     cdef int64_t[WORD_STATE] at
     if stream.shape[0] != WORD_STATE or state.shape[0] != STATE or (
@@ -196,7 +183,6 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
         s[k] = state[k]
     for k in range(WORD_STATE):
         at[k] = stream[k]
-    s[FIRST_BAD] = -1
     at[TRIGGERS] = 0
     with nogil:
         while i < n and s[FILLED] <= room:
@@ -215,16 +201,11 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
                 if at[HIGH] < 0:
                     at[UNTIMED] += 1
                     bits = 0
-                t = at[TIME] + s[OFFSET]
                 while bits:
-                    if bits & 1 and add(&out[0], i, t, x, at[ROW], p, height, width,
-                                        GROUP, s) == FALLS:
-                        why = JUMP     # before the first event of this word
-                        break
+                    if bits & 1:
+                        put(&out[0], at[TIME], x, at[ROW], p, height, width, s)
                     bits >>= 1
                     x += 1
-                if why == JUMP:
-                    break
                 at[COLUMN] += count
             elif kind == 6:
                 if at[HIGH] >= 0:
@@ -249,14 +230,14 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
                 at[COLUMN] = word & 0x7FF
                 at[POLARITY] = word >> 11 & 1
             elif kind == 10:
-                if not trigger(at[TIME] + s[OFFSET], word & 1, triggers, at):
+                if not trigger(at[TIME], word & 1, triggers, at):
                     break
             i += 1
     for k in range(STATE):
         state[k] = s[k]
     for k in range(WORD_STATE):
         stream[k] = at[k]
-    return i, why
+    return i
 
 
 def stream_events(const uint8_t[::1] data not None, bint atis, Py_ssize_t height,
@@ -291,8 +272,8 @@ def stream_events(const uint8_t[::1] data not None, bint atis, Py_ssize_t height
                 if not (atis and head & 1):
                     x = data[i + 1] | data[i + 2] << 8
                     y = data[i + 3] | data[i + 4] << 8
-                    add(&out[0], i, t + state[OFFSET], x, height - 1 - y,
-                        head >> atis & 1, height, width, 1, &state[0])
+                    put(&out[0], t, x, height - 1 - y, head >> atis & 1, height, width,
+                        &state[0])
                 i += 5
     time[0] = t
     return i
@@ -303,38 +284,17 @@ def stream_events(const uint8_t[::1] data not None, bint atis, Py_ssize_t height
 
 def event_columns(const int64_t[::1] t not None, const int32_t[::1] x not None,
                   const int32_t[::1] y not None, const int32_t[::1] p not None,
-                  Py_ssize_t begin, Py_ssize_t height, Py_ssize_t width,
-                  int64_t[::1] state not None, event_t[::1] out not None):
-    """Take rows from begin on while out has room; return (how far, why, t).
-
-    t in us, a negative p is OFF.  Why is 1 before a row whose time lies more than a
-    second before the last; t is that of the row.
-    """
-    cdef Py_ssize_t i = begin, n = t.shape[0], room = out.shape[0]
-    cdef int64_t time = 0
-    cdef int why = FULL, k
-    cdef int64_t[STATE] s
-    if x.shape[0] != n or y.shape[0] != n or p.shape[0] != n or (
-            state.shape[0] != STATE or begin < 0 or begin > n):
+                  Py_ssize_t height, Py_ssize_t width, int64_t[::1] state not None,
+                  event_t[::1] out not None):
+    """Append the events of columns to out; t in us, a negative p is OFF."""
+    cdef Py_ssize_t i, n = t.shape[0]
+    if x.shape[0] != n or y.shape[0] != n or p.shape[0] != n or state.shape[0] != STATE:
         raise ValueError("event_columns: an array has the wrong shape")
-    if state[FILLED] < 0 or state[FILLED] > room:
-        raise ValueError("event_columns: state lies outside an array")
-    for k in range(STATE):
-        s[k] = state[k]
-    s[FIRST_BAD] = -1
+    if state[FILLED] < 0 or state[FILLED] > out.shape[0] - n:
+        raise ValueError("event_columns: out is too small")
     with nogil:
-        while i < n and s[FILLED] < room:
-            time = t[i] if far(t[i]) else t[i] + s[OFFSET]
-            if add(&out[0], i, time, x[i], y[i], max(p[i], 0), height, width, 1,
-                   s) == FALLS:
-                if i + 1 == n or far(t[i + 1]) or t[i + 1] + s[OFFSET] < s[LAST]:
-                    why = JUMP
-                    break
-                s[BACKWARD] += 1    # the next goes on: one damaged time is no jump
-            i += 1
-    for k in range(STATE):
-        state[k] = s[k]
-    return i, why, t[i] if i < n else 0
+        for i in range(n):
+            put(&out[0], t[i], x[i], y[i], max(p[i], 0), height, width, &state[0])
 
 
 # Places of an event's numbers in a message of ROS, bytes from its first.
@@ -353,53 +313,36 @@ cdef inline int64_t ros_time(const uint8_t* seconds_at, const uint8_t* nano_at
 
 def ros_events(const uint8_t[::1] data not None, Py_ssize_t start, Py_ssize_t stride,
                Py_ssize_t count, const int64_t[::1] places not None, Py_ssize_t shift,
-               Py_ssize_t begin, Py_ssize_t height, Py_ssize_t width,
-               int64_t[::1] state not None, event_t[::1] out not None):
-    """Take events of a message from begin on; return (how far, why, t).
+               Py_ssize_t height, Py_ssize_t width, int64_t[::1] state not None,
+               event_t[::1] out not None):
+    """Append the events of a message to out.
 
     The first of count events is at byte start, the next stride bytes on; places are
     those of x, y (uint16), seconds (int32), nanoseconds (uint32) and polarity (uint8).
     x and y of the first lie shift bytes further on: CDR aligns nothing but times.
-    Why is 1 before an event whose time, t in us, lies more than a second before the
-    last.
     """
-    cdef Py_ssize_t i = begin, room = out.shape[0], last = 0, further
+    cdef Py_ssize_t i, last = 0, further
     cdef const uint8_t* row
-    cdef int64_t t = 0
     cdef uint16_t x, y
-    cdef int why = FULL, k
-    cdef int64_t[STATE] s
-    if places.shape[0] != ROS_PLACES or state.shape[0] != STATE or (
-            state[FILLED] < 0 or state[FILLED] > room):
+    cdef int k
+    if places.shape[0] != ROS_PLACES or state.shape[0] != STATE:
         raise ValueError("ros_events: places or state is wrong")
     for k in range(ROS_PLACES):
         if places[k] < 0 or places[k] > stride or shift < 0 or shift > stride:
             raise ValueError("ros_events: places must lie within an event")
         last = max(last, places[k] + (4 if k == ROS_S or k == ROS_NS else (
             1 if k == ROS_P else 2 + shift)))
-    if stride < 1 or start < 0 or count < 0 or begin < 0 or begin > count or (
+    if stride < 1 or start < 0 or count < 0 or (
             count > 0 and ((count - 1) > (data.shape[0] - start) // stride
                            or start + (count - 1) * stride + last > data.shape[0])):
         raise ValueError("ros_events: events lie outside the data")
-    for k in range(STATE):
-        s[k] = state[k]
-    s[FIRST_BAD] = -1
+    if state[FILLED] < 0 or state[FILLED] > out.shape[0] - count:
+        raise ValueError("ros_events: out is too small")
     with nogil:
-        while i < count and s[FILLED] < room:
+        for i in range(count):
             row = &data[start + i * stride]
             further = shift if i == 0 else 0
             memcpy(&x, row + places[ROS_X] + further, 2)
             memcpy(&y, row + places[ROS_Y] + further, 2)
-            t = ros_time(row + places[ROS_S], row + places[ROS_NS])
-            if add(&out[0], i, t + s[OFFSET], x, y, row[places[ROS_P]], height, width,
-                   1, s) == FALLS:
-                if i + 1 == count or s[OFFSET] + ros_time(
-                        row + stride + places[ROS_S], row + stride + places[ROS_NS]
-                        ) < s[LAST]:
-                    why = JUMP
-                    break
-                s[BACKWARD] += 1    # as above
-            i += 1
-    for k in range(STATE):
-        state[k] = s[k]
-    return i, why, t
+            put(&out[0], ros_time(row + places[ROS_S], row + places[ROS_NS]), x, y,
+                row[places[ROS_P]], height, width, &state[0])

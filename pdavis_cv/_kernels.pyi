@@ -1,4 +1,5 @@
 """The whole Python/C boundary, one line per kernel."""
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
@@ -81,6 +82,7 @@ __all__ = [
     "redundancy_solve",
     "saturated_events",
     "saturated_fill",
+    "settle",
     "sort_events",
     "stokes",
     "stream_events",
@@ -98,29 +100,33 @@ def aedat2_words(
     imu: NDArray[np.int16], trigger_t: _I64, trigger: _U8,
 ) -> tuple[int, int]: ...
 def aedat4_events(
-    data: _U8, at: int, begin: int, n: int, height: int, width: int, flip: bool,
-    first: int, last: int, state: _I64, out: NDArray[Any],
-) -> int: ...
+    data: _U8, at: int, n: int, height: int, width: int, flip: bool, first: int,
+    last: int, state: _I64, out: NDArray[Any],
+) -> None: ...
 def davis_words(
     words: NDArray[np.uint16], begin: int, turned: bool, height: int, width: int,
     state: _I64, reads: NDArray[np.uint16], times: _I64, out: NDArray[Any], imu: _I64,
     triggers: _I64,
 ) -> tuple[int, int]: ...
 def event_columns(
-    t: _I64, x: _I32, y: _I32, p: _I32, begin: int, height: int, width: int,
-    state: _I64, out: NDArray[Any],
-) -> tuple[int, int, int]: ...
+    t: _I64, x: _I32, y: _I32, p: _I32, height: int, width: int, state: _I64,
+    out: NDArray[Any],
+) -> None: ...
 def evt2_words(
     words: NDArray[np.uint32], begin: int, height: int, width: int, stream: _I64,
     state: _I64, triggers: _I64, out: NDArray[Any],
-) -> tuple[int, int]: ...
+) -> int: ...
 def evt3_words(
     words: NDArray[np.uint16], begin: int, height: int, width: int, stream: _I64,
     state: _I64, triggers: _I64, out: NDArray[Any],
-) -> tuple[int, int]: ...
+) -> int: ...
 def ros_events(
     data: _U8, start: int, stride: int, count: int, places: _I64, shift: int,
-    begin: int, height: int, width: int, state: _I64, out: NDArray[Any],
+    height: int, width: int, state: _I64, out: NDArray[Any],
+) -> None: ...
+def settle(
+    samples: NDArray[Any], accepted: int, n: int, reach: int, held: int, final: bool,
+    move: Callable[[int], int] | None, state: _I64,
 ) -> tuple[int, int, int]: ...
 def stream_events(
     data: _U8, atis: bool, height: int, width: int, time: _I64, state: _I64,
@@ -129,7 +135,7 @@ def stream_events(
 def text_events(
     data: _U8, begin: int, order: _I64, more: bool, unit: int, height: int, width: int,
     state: _I64, out: NDArray[Any],
-) -> tuple[int, int, int, int]: ...
+) -> tuple[int, int]: ...
 def aedat4_table_fields(data: _U8, at: int, field: int, out: _U8) -> int: ...
 def aop(s1: _F32, s2: _F32, out: _F32) -> None: ...
 def aop_dolp(quad: _F32, gain: float, aop: _F32, dolp: _F32) -> None: ...

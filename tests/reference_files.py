@@ -11,21 +11,14 @@ AEDAT4 = np.dtype([("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "u1"), ("", "
 
 
 def aedat4_events(data, at, n, height, width, *, flip=False):
-    """Decode n event structs.
-
-    Drops what lies outside, before what was taken, or ahead of both neighbours.
-    """
+    """Decode n event structs, without those that lie outside."""
     raw = np.frombuffer(bytes(data), AEDAT4, n, at)
     y = height - 1 - raw["y"].astype(int) if flip else raw["y"].astype(int)
-    out, last = [], -(1 << 61)
+    taken = _Taken(height, width)
     for i in range(n):
         t, x, p = (int(raw[name][i]) for name in "txp")
-        following = int(raw["t"][i + 1]) if i + 1 < n else t
-        inside = 0 <= x < width and 0 <= y[i] < height and p <= 1
-        if inside and t >= last and not last <= following < t:
-            out.append((t, x, y[i], p))
-            last = t
-    return np.array(out, EVENT_DTYPE)
+        taken.add(t, x, int(y[i]), p)
+    return np.array(taken.out, EVENT_DTYPE)
 
 
 def pack_aedat4_events(events):
@@ -59,37 +52,69 @@ def aedat2_words(data, height, width):
 
 
 class _Taken:
-    """Events in order: what is late is dropped, and what was ahead of the next.
+    """Events that lie on the sensor."""
 
-    Where time falls by more than a second and stays there it is forgotten.
+    def __init__(self, height, width):
+        self.out, self.size = [], (height, width)
+
+    def add(self, t, x, y, p):
+        """Take an event or drop it."""
+        if 0 <= y < self.size[0] and 0 <= x < self.size[1] and 0 <= p <= 1:
+            self.out.append((t, x, y, p))
+
+
+def settle(times, *, reach=8, equal=64, last=-(1 << 61), segments=True):
+    """Return (index, time) of the times that are in order, and how many segments began.
+
+    Where one is before the last, the fewest values are dropped: the last of those that
+    were accepted, or those of the next `reach` that are behind.
     """
-
-    def __init__(self, height, width, group=1):
-        self.out, self.size, self.group = [], (height, width), group
-        self.last = -2**61
-        self.begin()
-
-    def begin(self):
-        """Begin another piece: earlier ones have been handed out."""
-        self.first, self.before = len(self.out), self.last
-
-    def add(self, t, x, y, p, following=None):
-        """Take an event or drop it; following is the time of the next one."""
-        if not (0 <= y < self.size[0] and 0 <= x < self.size[1] and 0 <= p <= 1
-                and abs(t) <= 2**61):
-            return
-        if t < self.last:
-            ahead = [k for k in range(max(self.first, len(self.out) - self.group),
-                                      len(self.out)) if self.out[k][0] == self.last]
-            before = self.before if not ahead or ahead[0] == self.first else (
-                self.out[ahead[0] - 1][0])
-            if ahead and before <= t:
-                del self.out[ahead[0]:]
-            elif t >= self.last - 10**6 or (
-                    following is not None and self.last <= following <= 2**61):
-                return
-        self.out.append((t, x, y, p))
-        self.last = t
+    kept, i, offset, jumps, floor = [], 0, 0, 0, last
+    far = 1 << 61
+    if len(times) > 3 and floor == -far and times[1] - times[0] > 3_600_000_000 and (
+            times[2] >= times[1]):
+        i = 1
+    while i < len(times):
+        t, before = times[i] + offset, kept[-1][1] if kept else floor
+        if abs(times[i]) > far or abs(t) > far:
+            i += 1
+            continue
+        if t >= before:
+            kept.append((i, t))
+            i += 1
+            continue
+        following = [min(max(t, -far), far) + offset for t in times[i:i + reach]]
+        behind = [t for t in following if t < before]
+        best, cut, at, values = len(behind), 0, len(kept), 0
+        while at > 0 and values < reach and len(kept) - at < equal:
+            value = kept[at - 1][1]
+            while at > 0 and len(kept) - at < equal and kept[at - 1][1] == value:
+                at -= 1
+            values += 1
+            rest = kept[at - 1][1] if at else floor
+            cost = values + sum(t < rest for t in following)
+            if cost < best or cost == best == 1:
+                best, cut = cost, len(kept) - at
+        if cut:
+            del kept[-cut:]
+            continue
+        near = sorted(behind)
+        n = len(near)
+        spread = 10**6 + 4 * (near[3 * n // 4] - near[n // 4])
+        if segments and n > 1 and 2 * n > len(following) and before - t > 10**6 and (
+                abs(t - near[n // 2]) <= spread):
+            lone = [k for k in range(1, min(4, len(kept)))
+                    if kept[-k][1] - kept[-k - 1][1] > 3_600_000_000]
+            if lone:
+                del kept[-lone[-1]:]
+            fall = (kept[-1][1] if kept else floor) - t
+            offset += 1 << 32 if abs(fall - (1 << 32)) < 10**6 else fall + 1
+            jumps += 1
+        else:
+            i += 1
+    if len(kept) > 3 and kept[-1][1] - kept[-2][1] > 3_600_000_000:
+        kept.pop()
+    return kept, jumps
 
 
 def right_times(words, version, before):
@@ -116,16 +141,15 @@ def right_times(words, version, before):
 
 
 def words(pieces, version, height, width):
-    """Decode pieces of words of EVT2 or EVT3; times never jump by a second.
+    """Decode pieces of words of EVT2 or EVT3.
 
     Returns the events, and the triggers as (time, whether rising).
     """
     triggers = []
     loops, high, low, before = 0, None, 0, None
     row = column = polarity = 0
-    taken = _Taken(height, width, 1 if version == 2 else 64)
+    taken = _Taken(height, width)
     for piece in pieces:
-        taken.begin()
         kept, before = right_times(piece, version, before)
         for word in kept:
             kind = word >> (28 if version == 2 else 12)
@@ -222,18 +246,17 @@ def text_events(lines, order, unit, height, width, more=False):
                     x, y, p), wrong
         return None, wrong
 
-    found = [read(line) for line in lines]
-    for (row, wrong), (after, _) in zip(found, [*found[1:], (None, 0)], strict=True):
+    for row, wrong in map(read, lines):
         bad += wrong
         if row is not None:
             t, x, y, p = row
-            taken.add(t, x, y, max(p, 0), None if after is None else after[0])
-    return taken.out, bad
+            taken.add(t, x, y, max(p, 0))
+    return [row for row in taken.out if abs(row[0]) <= 2**61], bad
 
 
 def event_rows(rows, height, width):
-    """Return those of rows of t, x, y, p that lie on the sensor and in order."""
+    """Return those of rows of t, x, y, p that lie on the sensor."""
     taken = _Taken(height, width)
-    for i, (t, x, y, p) in enumerate(rows):
-        taken.add(t, x, y, max(p, 0), rows[i + 1][0] if i + 1 < len(rows) else None)
+    for t, x, y, p in rows:
+        taken.add(t, x, y, max(p, 0))
     return taken.out

@@ -28,7 +28,6 @@ from pdavis_cv import (
     open_recording,
 )
 from pdavis_cv.recording.prophesee import WordStream
-from pdavis_cv.recording.timeline import Clock, Timeline
 
 SIZE = (480, 640)
 
@@ -112,7 +111,7 @@ def test_words_of_evt3_are_decoded_alike_one_by_one_and_in_runs():
         for begin in range(0, len(words), step):
             part, done = words[begin:begin + step], 0
             while done < len(part):
-                done, _ = _kernels.evt3_words(
+                done = _kernels.evt3_words(
                     part, done, 900, 1500, stream, state, room, out)
         got.append((out[:state[0]].tolist(), stream.tolist(), state[:5].tolist()))
     assert got[0] == got[1]
@@ -159,10 +158,12 @@ def test_words_equal_their_twin(version):
     words[7::50] = (8 << bits | times).astype(words.dtype)
     pieces = np.array_split(words, 7)
     for size in (SIZE, (12, 16)):
-        clock, stream = Clock(Timeline()), WordStream(version, size)
+        stream, state = WordStream(version, size), np.zeros(7, np.int64)
         got, triggers = [], []
         for piece in pieces:
-            got += stream.events(piece, clock).tolist()
+            out, state[0] = np.empty(stream.room(piece), EVENT_DTYPE), 0
+            stream.decode(piece, state, out)
+            got += out[:state[0]].tolist()
             triggers += map(tuple, stream.triggers.tolist())
         expected, found = reference.words(pieces, version, *size)
         assert got == expected
@@ -199,22 +200,19 @@ def test_kernels_refuse_arrays_of_the_wrong_shape():
                       (words, 0, 4, 4, stream, state - 1, room, out)):
             with pytest.raises(ValueError, match=kernel.__name__):
                 kernel(*wrong)
-        assert kernel(words[:0], 0, 4, 4, stream, state, room, out) == (0, 0)
+        assert kernel(words[:0], 0, 4, 4, stream, state, room, out) == 0
     data = np.zeros(5, np.uint8)
     for wrong in ((data, False, 4, 4, stream, state, out),
                   (data, False, 4, 4, stream[:1], state[:3], out),
                   (data, False, 4, 4, stream[:1], state + 51, out)):
         with pytest.raises(ValueError, match="stream_events"):
             _kernels.stream_events(*wrong)
+
+
 def rows_taken(kernel, room=500):
-    """Return the events that a kernel takes, (begin, state, out) -> (done, why, t)."""
-    state = np.array([0, -2**61, 0, 0, 0, -1, -2**61], np.int64)
-    out = np.zeros(room, EVENT_DTYPE)
-    done, more = 0, 1
-    while more:
-        done, more, _ = kernel(done, state, out)
-        if more:
-            state[1] = -2**61
+    """Return the events that a kernel appends, (state, out)."""
+    state, out = np.zeros(7, np.int64), np.zeros(room, EVENT_DTYPE)
+    kernel(state, out)
     return out[:state[0]].tolist()
 
 
@@ -231,13 +229,16 @@ def test_columns_equal_their_twin():
     rows = some_rows(rng, times)
     t, *rest = rows.T.copy()
     x, y, p = (column.astype(np.int32) for column in rest)
-    got = rows_taken(lambda begin, state, out: _kernels.event_columns(
-        t, x, y, p, begin, 6, 8, state, out))
+    got = rows_taken(lambda state, out: _kernels.event_columns(
+        t, x, y, p, 6, 8, state, out))
     assert got == reference.event_rows(rows.tolist(), 6, 8)
     assert len(got) > 50
     with pytest.raises(ValueError, match="event_columns: an array"):
-        _kernels.event_columns(t, x[1:], y, p, 0, 6, 8, np.zeros(7, np.int64),
-                               np.zeros(3, EVENT_DTYPE))
+        _kernels.event_columns(t, x[1:], y, p, 6, 8, np.zeros(7, np.int64),
+                               np.zeros(400, EVENT_DTYPE))
+    with pytest.raises(ValueError, match="event_columns: out"):
+        _kernels.event_columns(t, x, y, p, 6, 8, np.zeros(7, np.int64),
+                               np.zeros(399, EVENT_DTYPE))
 
 
 @pytest.mark.parametrize(("size", "places"), [
@@ -256,19 +257,19 @@ def test_messages_of_ros_equal_their_twin(size, places):
         message[name] = column
     data = np.frombuffer(b"head!" + message.tobytes(), np.uint8)
 
-    def taken(count, begin, state, out, at=5, where=places, shift=0):
-        return _kernels.ros_events(data, at, size, count, np.array(where), shift,
-                                   begin, 6, 8, state, out)
+    def taken(count, state, out, at=5, where=places, shift=0):
+        _kernels.ros_events(
+            data, at, size, count, np.array(where), shift, 6, 8, state, out)
 
     got = rows_taken(lambda *rest: taken(400, *rest))
     assert got == reference.event_rows(rows.tolist(), 6, 8)
     assert len(got) > 50
     state, out = np.zeros(7, np.int64), np.zeros(500, EVENT_DTYPE)
-    for wrong in ({"count": 401}, {"count": 2**62}, {"begin": 401}, {"begin": -1},
-                  {"at": -1}, {"at": 5 + size}, {"where": (0, 2, 4, 8, size + 1)},
-                  {"where": (0, 2, 4, 8)}, {"shift": -1}, {"shift": size + 1},
+    for wrong in ({"count": 401}, {"count": 2**62}, {"at": -1}, {"at": 5 + size},
+                  {"where": (0, 2, 4, 8, size + 1)}, {"where": (0, 2, 4, 8)},
+                  {"shift": -1}, {"shift": size + 1},
                   {"state": state[:3]}, {"state": state - 1}):
-        given = {"count": 400, "begin": 0, "state": state, "out": out} | wrong
+        given = {"count": 400, "state": state, "out": out} | wrong
         with pytest.raises(ValueError, match="ros_events"):
             taken(**given)
 

@@ -24,7 +24,7 @@ from pdavis_cv import _kernels
 from pdavis_cv._checks import whole_number
 from pdavis_cv._types import Events
 from pdavis_cv.errors import DeviceError
-from pdavis_cv.events import EVENT_DTYPE, FAR
+from pdavis_cv.events import FAR
 from pdavis_cv.live.base import HEARTBEAT_S, Address, LiveSource
 from pdavis_cv.live.inbox import MOST_BYTES
 from pdavis_cv.live.replay import pieces
@@ -40,7 +40,16 @@ from pdavis_cv.recording.aedat4.flatbuffer import PayloadError, root_table
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.options import MAX_SIDE
-from pdavis_cv.recording.timeline import NEVER
+from pdavis_cv.recording.scratch import Scratch
+from pdavis_cv.recording.timeline import (
+    BACKWARD,
+    BEFORE,
+    FILLED,
+    NEVER,
+    OUTSIDE,
+    SEGMENT_US,
+    Clock,
+)
 from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["DvSource", "open_tcp"]
@@ -140,7 +149,7 @@ class DvSource(LiveSource):
     ) -> None:
         self._connections = [_Connection(link, name) for link in connections]
         super().__init__(self._facts(name), name)
-        self._state = np.array([0, NEVER, 0, 0, 0, -1, NEVER], np.int64)
+        self._clock = Clock(None)
         self._scale: samples.FrameScale | None = None
         self._last_us: int | None = None
         self._held: deque[ApsFrame] = deque()   # until events reach their time
@@ -235,21 +244,22 @@ class DvSource(LiveSource):
     def _of_events(
         self, data: bytes | memoryview, at: int, count: int
     ) -> Iterator[Packet]:
-        raw, state = np.frombuffer(data, np.uint8), self._state
-        done = 0
-        while done < count:
-            out: NDArray[Any] = np.empty(count - done, EVENT_DTYPE)
-            state[0] = state[3] = state[4] = 0
-            done = _kernels.aedat4_events(
-                raw, at, done, count, *self.info.sensor_size, False, NEVER, -NEVER,
-                state, out)
-            for number, what in ((3, "outside the sensor"), (4, "that came late")):
-                if state[number]:
-                    self._log.add(what, None, f"events {what} were dropped",
-                                  count=int(state[number]))
-            if state[0]:
-                yield from self._with_frames(out[:int(state[0])])
-            state[1] = NEVER        # the clock was reset: the rest is a new segment
+        clock = self._clock
+        out = clock.room(Scratch(), count)
+        _kernels.aedat4_events(
+            np.frombuffer(data, np.uint8), at, count, *self.info.sensor_size, False,
+            NEVER, -NEVER, clock.state, out)
+        found = out["t"][:int(clock.state[FILLED])]
+        if len(found) and clock.last - int(np.median(found)) > SEGMENT_US:
+            clock.state[BEFORE] = NEVER     # it was reset: a new segment
+        events = clock.settled(out, final=True)
+        for number, what in ((OUTSIDE, "outside the sensor"),
+                             (BACKWARD, "that came late")):
+            if clock.state[number]:
+                self._log.add(what, None, f"events {what} were dropped",
+                              count=int(clock.state[number]))
+        if len(events):
+            yield from self._with_frames(events)
 
     def _frame(self, data: bytes, table: Any) -> ApsFrame:
         raw = samples.raw_frame(data, table)

@@ -27,6 +27,8 @@ from pdavis_cv.recording.packetise import Batch, cell_start
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import PiecewiseRecording
 from pdavis_cv.recording.timeline import (
+    BACKWARD,
+    HELD,
     LOOK_AHEAD,
     NEVER,
     Clock,
@@ -241,7 +243,8 @@ class Aedat3Recording(PiecewiseRecording):
                 ) -> Iterator[tuple[Batch, float]]:
         """Yield the samples of each packet, and the share of the file read by then."""
         timeline = Timeline()
-        clocks = [Clock(timeline) for _ in range(4)]
+        clocks = [Clock(timeline, held=HELD if kind == POLARITY else 0)
+                  for kind in range(4)]
         begin, last_mid, promised = self._start, NEVER, NEVER
         before: dict[int, int] = {}     # kind -> time of the last sample
         if start_us is not None:
@@ -265,34 +268,35 @@ class Aedat3Recording(PiecewiseRecording):
             if not len(times):
                 continue
             before[kind] = before[_ANY] = int(times[-1])
-            batch = Batch()
+            batch, clock = Batch(), clocks[min(kind, IMU6)]
+            following = [int(t) for one in ahead if one[1] == kind for t in one[3][:8]]
+            jumps, late = clock.jumps, 0
             if kind == FRAME:
                 for frame in found:
-                    t = np.array([frame.available_us], np.int64)
-                    keep, segments = clocks[FRAME].order(t)
-                    if segments or not keep[0] or frame.mid_us <= last_mid or (
-                            frame.available_us < promised):
+                    t = clock.among(np.array([(frame.available_us,)], [("t", "<i8")]),
+                                    following)["t"]
+                    if not len(t) or frame.mid_us <= last_mid or t[0] < promised:
                         self._count(at, "backward time", 1, "frames were dropped "
                                     "because time ran backward")
                         continue
                     last_mid = frame.mid_us
                     batch.frames.append(frame)
             else:
-                keep, segments = clocks[min(kind, IMU6)].order(times)
-                found["t"] = times
-                keep &= times >= promised
-                if segments:
-                    self._log.add("segment", at, "time jumped back by more than a "
-                                  "second: a new segment follows", offset=at)
-                if not keep.all():
-                    self._count(at, "backward time", int((~keep).sum()),
-                                "samples were dropped because time ran backward")
-                    found = found[keep]
-                setattr(batch, _FIELDS[kind], found)
+                found = (clock.order(found) if kind == POLARITY
+                         else clock.among(found, following))
+                setattr(batch, _FIELDS[kind], found[found["t"] >= promised])
+                late = len(found) - len(getattr(batch, _FIELDS[kind]))
+            if clock.jumps > jumps:
+                self._log.add("segment", at, "time jumped back by more than a "
+                              "second: a new segment follows", offset=at)
+            self._count(at, "backward time", late + int(clock.state[BACKWARD]),
+                        "samples were dropped because time ran backward")
             # Packets of different kinds are not in time order relative to each other.
             newest = max(clock.last for clock in clocks)
             promised = batch.complete_us = max(promised, newest - HORIZON_US)
             yield batch, at / self._reader.size
+        rest = self._taken(None, 0, clocks[POLARITY], self._reader.size, memory)
+        yield Batch(rest[rest["t"] >= promised]), 1.0
 
     def _decoded(self, begin: int) -> Iterator[Decoded]:
         """Yield (byte, kind, samples or frames, times) of each packet from begin on."""

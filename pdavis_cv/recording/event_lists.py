@@ -29,7 +29,7 @@ from pdavis_cv.recording.text_form import (
     text_form,
     unit_of_times,
 )
-from pdavis_cv.recording.timeline import FILLED, OFFSET, Clock, Timeline
+from pdavis_cv.recording.timeline import FILLED, Clock
 
 __all__ = ["NumpyRecording", "TextRecording"]
 
@@ -142,46 +142,48 @@ class TextRecording(_EventList):
         return [first, *(data[data.find(b"\n") + 1:] for data in later)]
 
     def _farthest(self) -> tuple[int, int]:
-        events = self._lines(
-            self._begin, Clock(Timeline()), (MAX_SIDE, MAX_SIDE), Scratch())[0]
-        return int(events["x"].max(initial=0)), int(events["y"].max(initial=0))
+        data, state = self._chunk(self._begin, Scratch()), Clock(None).state
+        events = np.empty(_room(data), EVENT_DTYPE)
+        self._lines(data, (MAX_SIDE, MAX_SIDE), state, events)
+        x, y = (events[axis][:int(state[FILLED])] for axis in "xy")
+        return int(x.max(initial=0)), int(y.max(initial=0))
 
     def _next(self, at: int, clock: Clock, state: Any, memory: Scratch
               ) -> tuple[NDArray[Any], int]:
-        events, after, bad, jumps = self._lines(
-            at, clock, self._info.sensor_size, memory)
+        data = self._chunk(at, memory)
+        done = bad = 0
+
+        def decode(out: NDArray[Any]) -> None:
+            nonlocal done, bad
+            begin = int(clock.state[FILLED])
+            done, bad = self._lines(data, self._info.sensor_size, clock.state, out)
+            if self._bottom:
+                rows = out["y"][begin:int(clock.state[FILLED])]
+                rows[:] = self._info.sensor_size[0] - 1 - rows
+
+        events = self._taken(decode, _room(data), clock, at, memory)
         self._count(at, "bad line", bad, "lines are not four numbers")
-        self._dropped(clock, at, jumps)
-        if self._bottom:
-            events["y"] = self._info.sensor_size[0] - 1 - events["y"]
-        return events, after
-
-    def _lines(self, at: int, clock: Clock, size: tuple[int, int], memory: Scratch
-               ) -> tuple[NDArray[Any], int, int, int]:
-        """Decode the chunk at a byte.
-
-        Returns its events, the byte after it, and the numbers of bad lines and jumps.
-        """
-        data = memory.read(self._reader, at, CHUNK)
-        if len(data) and at + len(data) == self._reader.size and data[-1] != ord("\n"):
-            data = np.append(data, np.uint8(ord("\n")))  # the last line may have none
-        # A line has at least four digits and four separators.
-        events = memory.room(len(data) // 8 + 1)
-        clock.begin()
-        done, bad, jumps, more = 0, 0, 0, 1
-        while more:
-            done, wrong, more, t = _kernels.text_events(
-                data, done, self._order, self._more, self._unit_of_time, *size,
-                clock.state, events)
-            bad += wrong
-            if more:
-                clock.jump(t + int(clock.state[OFFSET]))
-                jumps += 1
         if not done and len(data) >= CHUNK:
             raise RecordingError(
                 f"{self._path}: byte {at}: a line of more than {CHUNK} bytes")
-        return (events[:int(clock.state[FILLED])], min(at + done, self._reader.size),
-                bad, jumps)
+        return events, min(at + done, self._reader.size)
+
+    def _chunk(self, at: int, memory: Scratch) -> NDArray[np.uint8]:
+        data = memory.read(self._reader, at, CHUNK)
+        if len(data) and at + len(data) == self._reader.size and data[-1] != ord("\n"):
+            return np.append(data, np.uint8(ord("\n")))  # the last line may have none
+        return data
+
+    def _lines(self, data: NDArray[np.uint8], size: tuple[int, int],
+               state: NDArray[np.int64], out: NDArray[Any]) -> tuple[int, int]:
+        """Append the events of whole lines; return how far, and how many are bad."""
+        return _kernels.text_events(
+            data, 0, self._order, self._more, self._unit_of_time, *size, state, out)
+
+
+def _room(data: NDArray[np.uint8]) -> int:
+    """Return how many events a text may hold: a line has four digits and separators."""
+    return len(data) // 8 + 1
 
 
 class NumpyRecording(_EventList):
@@ -198,7 +200,7 @@ class NumpyRecording(_EventList):
     options : SourceOptions
     """
 
-    _kind = "NumPy"
+    _kind, _unit = "NumPy", "row"
     _size: tuple[int, int] | None = None
 
     def _found(self) -> Mapping[str, Any]:
@@ -241,7 +243,7 @@ class NumpyRecording(_EventList):
         after = at + len(columns[0])
         if after == at:
             return np.empty(0, EVENT_DTYPE), at
-        return self._checked(columns, clock, at, memory, unit="row"), after
+        return self._checked(columns, clock, at, memory), after
 
     def _columns(self, at: int) -> tuple[NDArray[Any], ...]:
         """Return t in us, x, y, p of the rows from `at` on."""

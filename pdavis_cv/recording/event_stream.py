@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
-from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import SequentialRecording
-from pdavis_cv.recording.timeline import FILLED, Clock
+from pdavis_cv.recording.timeline import Clock
 
 __all__ = ["EventStreamRecording"]
 
@@ -67,13 +66,15 @@ class EventStreamRecording(SequentialRecording):
     def _next(self, at: int, clock: Clock, state: NDArray[np.int64], memory: Scratch
               ) -> tuple[NDArray[Any], int]:
         data = memory.read(self._reader, at, CHUNK)
-        out = memory.room(len(data) // _BYTES + 1)
-        clock.begin()
-        done = _kernels.stream_events(
-            data, self._atis, *self._info.sensor_size, state, clock.state, out)
-        self._dropped(clock, at, 0)
+        done = 0
+
+        def decode(out: NDArray[Any]) -> None:
+            nonlocal done
+            done = _kernels.stream_events(
+                data, self._atis, *self._info.sensor_size, state, clock.state, out)
+
+        events = self._taken(decode, len(data) // _BYTES + 1, clock, at, memory)
         if len(data) and not done:
             self._log.damage(
                 at, f"byte {at}: the file ends inside an event", offset=at)
-        return out[:int(clock.state[FILLED])] if done else np.empty(0, EVENT_DTYPE), (
-            at + done)
+        return events, at + done

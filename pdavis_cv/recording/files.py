@@ -24,7 +24,7 @@ from pdavis_cv.recording.file_reader import FileReader, RemoteReader
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.options import MAX_SIDE, SourceOptions
 from pdavis_cv.recording.scratch import Scratch
-from pdavis_cv.recording.timeline import BACKWARD, FILLED, OFFSET, OUTSIDE, Clock
+from pdavis_cv.recording.timeline import BACKWARD, OUTSIDE, Clock
 
 __all__ = ["FileRecording", "ProblemLog", "clock_text", "microseconds"]
 
@@ -116,6 +116,9 @@ class FileRecording(Recording):
         What the file may make its reader take.
     """
 
+    _unit = "byte"
+    """Unit of positions in the file."""
+
     def __init__(self, path: str | os.PathLike[str],
                  options: SourceOptions = _NOTHING_STATED) -> None:
         self._options = options
@@ -192,56 +195,31 @@ class FileRecording(Recording):
         self._closing.callback(reader.close)
         return reader
 
-    def _count(self, at: int, kind: str, count: int, message: str, *,
-               unit: str = "byte") -> None:
+    def _count(self, at: int, kind: str, count: int, message: str) -> None:
         """Add the number of samples that were left out; if strict, raise instead.
 
         Parameters
         ----------
         at : int
-            Position in the file; each position is counted once.
+            Position in the file, in `_unit`; each position is counted once.
         kind : str
             Kind of the `Problem`.
         count : int
             Number of samples; nothing is done for 0.
         message : str
             Text that follows the number.
-        unit : str
-            Unit of `at`.
         """
         if not count:
             return
         if self._strict:
-            raise RecordingError(f"{self._path}: {unit} {at}: {count} {message}")
-        self._log.add(kind, at, message, count=count,
-                      offset=at if unit == "byte" else None)
+            raise RecordingError(f"{self._path}: {self._unit} {at}: {count} {message}")
+        self._log.add(kind, at, message, count=count, offset=self._offset(at))
 
-    def _dropped(self, clock: Clock, at: int, jumps: int, *, unit: str = "byte"
-                 ) -> None:
-        """Add what a kernel left out of a chunk, as counted in the clock's state.
-
-        Parameters
-        ----------
-        clock : Clock
-            Holds the counts of this chunk.
-        at, unit
-            As in `_count`.
-        jumps : int
-            Number of jumps of time by more than a second backward.
-        """
-        if jumps:
-            self._log.add("segment", at, "time jumped back by more than a second: a "
-                          "new segment, moved to follow the one before",
-                          offset=at if unit == "byte" else None)
-        for kind, count, message in (
-                ("outside sensor", clock.state[OUTSIDE], "events outside the sensor "
-                 "were dropped"),
-                ("backward time", clock.state[BACKWARD], "events were dropped because "
-                 "time ran backward")):
-            self._count(at, kind, int(count), message, unit=unit)
+    def _offset(self, at: int) -> int | None:
+        return at if self._unit == "byte" else None
 
     def _checked(self, columns: Sequence[NDArray[Any]], clock: Clock, at: int,
-                 memory: Scratch, *, unit: str = "byte") -> NDArray[Any]:
+                 memory: Scratch) -> NDArray[Any]:
         """Return the events that lie on the sensor and in time order; count the others.
 
         Parameters
@@ -250,10 +228,10 @@ class FileRecording(Recording):
             t in us, int64; x, y; p, where negative is OFF; all integers.
         clock : Clock
             Clock of the events before these.
+        at : int
+            As in `_count`.
         memory : Scratch
             Provides memory for the result.
-        at, unit
-            As in `_count`.
 
         Returns
         -------
@@ -261,33 +239,35 @@ class FileRecording(Recording):
         """
         t = np.ascontiguousarray(columns[0])
         x, y, p = map(_narrow, columns[1:])
-        return self._taken(
-            lambda done, out: _kernels.event_columns(
-                t, x, y, p, done, *self._info.sensor_size, clock.state, out),
-            len(t), clock, at, memory, unit=unit)
+        return self._taken(lambda out: _kernels.event_columns(
+            t, x, y, p, *self._info.sensor_size, clock.state, out),
+            len(t), clock, at, memory)
 
-    def _taken(self, kernel: Callable[[int, NDArray[Any]], tuple[int, int, int]],
-                 count: int, clock: Clock, at: int, memory: Scratch, *, unit: str
-                 ) -> NDArray[Any]:
-        """Return the events that a kernel accepts of count events; count the others.
+    def _taken(self, kernel: Callable[[NDArray[Any]], object] | None, count: int,
+               clock: Clock, at: int, memory: Scratch) -> NDArray[Any]:
+        """Return the events that a kernel decodes and the clock accepts for good.
 
         Parameters
         ----------
-        kernel : callable
-            (first, out) -> (index of the end, whether time jumps back there, its time).
-        count, clock, at, memory, unit
+        kernel : callable, optional
+            Appends up to count events to memory; default: none follow.
+        count, clock, at, memory
             As in `_checked`.
         """
-        events = memory.room(count)
-        clock.begin()
-        done = jumps = 0
-        while done < count:
-            done, jump, t = kernel(done, events)
-            if jump:
-                clock.jump(t + int(clock.state[OFFSET]))
-                jumps += 1
-        self._dropped(clock, at, jumps, unit=unit)
-        return events[:int(clock.state[FILLED])]
+        jumps = clock.jumps
+        out = clock.room(memory, count)
+        if kernel is not None:
+            kernel(out)
+        events = clock.settled(out, final=kernel is None)
+        if clock.jumps > jumps:
+            self._log.add("segment", at, "time jumped back by more than a second: a "
+                          "new segment, moved to follow the one before",
+                          count=clock.jumps - jumps, offset=self._offset(at))
+        self._count(at, "outside sensor", int(clock.state[OUTSIDE]),
+                    "events outside the sensor were dropped")
+        self._count(at, "backward time", int(clock.state[BACKWARD]),
+                    "events were dropped because time ran backward")
+        return events
 
     @property
     def path(self) -> Path:

@@ -19,7 +19,7 @@ from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import SequentialRecording
-from pdavis_cv.recording.timeline import FILLED, OFFSET, Clock, Timeline
+from pdavis_cv.recording.timeline import FILLED, OFFSET, Clock
 
 __all__ = ["EVT2", "EVT3", "FALLING", "RISING", "PropheseeRecording",
            "WordStream", "is_prophesee", "ordered_triggers"]
@@ -37,7 +37,7 @@ _NAMES = {DAT: "DAT", EVT2: "RAW (EVT2)", EVT21: "RAW (EVT2.1)", EVT3: "RAW (EVT
 _WORD_BYTES = {DAT: 8, EVT2: 4, EVT21: 8, EVT3: 2}
 
 # Indices into the kernels' state.
-HIGH, TIME, UNTIMED, TRIGGERS, WORD_STATE = 0, 1, 6, 7, 8
+HIGH, UNTIMED, TRIGGERS, WORD_STATE = 0, 6, 7, 8
 _TRIGGER_ROOM = 256
 RISING, FALLING = 1, 2
 
@@ -89,10 +89,8 @@ class WordStream:
 
     Attributes
     ----------
-    jumps : int
-        Number of jumps of time by more than a second backward in the last call.
     triggers : ndarray of int64, shape (N, 2)
-        External triggers of the last call: time in us, 1 for a rising edge.
+        External triggers of the last call: time in the file in us, 1 for a rising edge.
     """
 
     def __init__(self, version: int, size: tuple[int, int], *, high_first: bool = True
@@ -103,47 +101,37 @@ class WordStream:
         self._stream[HIGH] = -1
         self._room = np.empty((_TRIGGER_ROOM, 2), np.int64)
         self.triggers = self._room[:0]
-        self.jumps = 0
 
     @property
     def untimed(self) -> int:
         """Number of event words that were skipped because their time is unknown."""
         return int(self._stream[UNTIMED])
 
-    def events(self, words: NDArray[np.unsignedinteger], clock: Clock,
-               memory: Scratch | None = None) -> NDArray[Any]:
-        """Return the events that lie on the sensor and in time order.
+    def room(self, words: NDArray[np.unsignedinteger]) -> int:
+        """Return the largest number of events of words, and what the kernel needs."""
+        return {EVT2: len(words), EVT21: 16 * len(words)}.get(
+            self.version, 12 * len(words) + 12)
+
+    def decode(self, words: NDArray[np.unsignedinteger], state: NDArray[np.int64],
+               out: NDArray[Any]) -> None:
+        """Append the events of words that lie on the sensor.
 
         Parameters
         ----------
         words : ndarray of uint32 (EVT2, EVT2.1: two each) or uint16 (EVT3), shape (N,)
-        clock : Clock
-            Its state counts dropped events.
-        memory : Scratch, optional
-            Provides memory for the result.
-
-        Returns
-        -------
-        ndarray of EVENT_DTYPE, shape (M,)
+        state : ndarray of int64, shape (7,)
+            Of the events' clock.
+        out : ndarray of EVENT_DTYPE
         """
         if self.version == EVT21:
             words = _single_events(words.reshape(-1, 2), self._high_first)
-        one = self.version != EVT3
-        kernel = _kernels.evt2_words if one else _kernels.evt3_words
-        # Pages that are never written take no memory.
-        out = (memory or Scratch()).room(len(words) if one else 12 * len(words) + 12)
-        clock.begin()
-        done, self.jumps, found = 0, 0, []
+        kernel = _kernels.evt3_words if self.version == EVT3 else _kernels.evt2_words
+        done, found = 0, []
         while done < len(words):
-            done, jump = kernel(words, done, *self.size, self._stream, clock.state,
-                                self._room, out)
+            done = kernel(words, done, *self.size, self._stream, state, self._room, out)
             if self._stream[TRIGGERS]:
                 found.append(self._room[:int(self._stream[TRIGGERS])].copy())
-            if jump:
-                clock.jump(int(self._stream[TIME] + clock.state[OFFSET]))
-                self.jumps += 1
         self.triggers = np.concatenate(found) if found else self._room[:0]
-        return out[:int(clock.state[FILLED])]
 
 
 def _single_events(pairs: NDArray[np.unsignedinteger], high_first: bool
@@ -271,8 +259,11 @@ class PropheseeRecording(SequentialRecording):
         if self._version == DAT:
             x, y, _ = self._places(words.reshape(-1, 2)[:, 1])
         else:
-            events = self._stream((2048, 2048)).events(words, Clock(Timeline()))
-            x, y = events["x"], events["y"]
+            stream = self._stream((2048, 2048))
+            events = np.empty(stream.room(words), EVENT_DTYPE)
+            state = Clock(None).state
+            stream.decode(words, state, events)
+            x, y = (events[axis][:int(state[FILLED])] for axis in "xy")
         return int(x.max(initial=0)), int(y.max(initial=0))
 
     def _places(self, word: NDArray[np.unsignedinteger]
@@ -311,18 +302,19 @@ class PropheseeRecording(SequentialRecording):
             return self._checked(
                 (t.astype(np.int64), *self._places(word)), clock, at, memory), after
         before = state.untimed
-        events = state.events(words, clock, memory)
-        self._dropped(clock, at, state.jumps)
+        events = self._taken(lambda out: state.decode(words, clock.state, out),
+                             state.room(words), clock, at, memory)
         self._count(at, "untimed", state.untimed - before, "events were skipped "
                     "whose time is not known, or damaged")
         return events, after
 
-    def _triggers(self, at: int, state: WordStream | None, after_us: int
+    def _triggers(self, at: int, clock: Clock, state: WordStream | None, after_us: int
                   ) -> NDArray[Any] | None:
         if state is None or not len(state.triggers):
             return None
         triggers, late = ordered_triggers(
-            state.triggers[:, 0], state.triggers[:, 1], after_us)
+            clock.moved(state.triggers[:, 0], after_us), state.triggers[:, 1],
+            after_us)
         self._count(at, "late triggers", late, "triggers were dropped because time ran "
                     "backward")
         return triggers

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
+from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.aedat4.samples import EIGHT_BIT_DN, TEN_BIT_DN
 from pdavis_cv.recording.base import ApsFrame, RecordingInfo
 from pdavis_cv.recording.event_packets import ENCODINGS, trigger
@@ -34,13 +35,14 @@ from pdavis_cv.recording.prophesee import WordStream, ordered_triggers
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import PiecewiseRecording
 from pdavis_cv.recording.timeline import (
-    LAST,
-    LOOK_AHEAD,
+    BEFORE,
+    FILLED,
+    HELD,
     NEVER,
     OFFSET,
+    REACH,
     Clock,
     Timeline,
-    possible_range,
 )
 
 __all__ = ["COPIED", "EXPOSURE", "IMAGES", "ROS2_EVENTS", "RosRecording", "rosbags"]
@@ -73,6 +75,8 @@ _GAP = 2
 _GREY = {"mono8": ("u1", 1, 255), "8UC1": ("u1", 1, 255),
          "mono16": ("u2", 1, 65535), "16UC1": ("u2", 1, 65535)}
 """Dtype, DN of a step, and full scale in DN of images, by their encoding."""
+_Where = tuple[NDArray[np.uint8], int, int, int, NDArray[np.int64], int]
+"""Bytes, first byte, bytes per event, number, places and shift, for `ros_events`."""
 
 
 def rosbags() -> tuple[Any, Any]:
@@ -171,7 +175,7 @@ class _Message:
             raise ValueError(f"a size of {width}x{height}")
         return height, width
 
-    def events(self) -> tuple[NDArray[np.uint8], int, int, int, NDArray[np.int64], int]:
+    def events(self) -> _Where:
         """Return the location of a sequence of dvs_msgs/Event, for `ros_events`."""
         count, at, data = self.number("I"), self._at, self.data
         size, places = ROS2_EVENTS if self._cdr else _ROS1
@@ -181,19 +185,6 @@ class _Message:
         if count and at + count * size - (1 if self._cdr else 0) > len(data):
             raise ValueError(f"{count} events in a message of {len(data)} bytes")
         return np.frombuffer(data, np.uint8), at, size, count, places, shift
-
-    def times(self, most: int) -> NDArray[np.int64]:
-        """Return the times of the first events of a dvs_msgs/EventArray in us."""
-        self.header()
-        self.size()
-        data, at, stride, count, places, _ = self.events()
-        seconds, nanoseconds = (
-            np.ndarray((min(count, most),), code, data, at + int(places[i]), (stride,))
-            for code, i in (("<i4", 2), ("<u4", 3)))
-        found: NDArray[np.int64] = seconds.astype(np.int64)
-        found *= 1_000_000
-        found += nanoseconds // 1000
-        return found
 
 
 class RosRecording(PiecewiseRecording):
@@ -211,6 +202,8 @@ class RosRecording(PiecewiseRecording):
     options : SourceOptions
         Its ``camera`` is a part of the topics' names, if the bag holds several.
     """
+
+    _unit = "message"
 
     def _open(self, options: SourceOptions) -> RecordingInfo:
         rosbag1, rosbag2 = rosbags()
@@ -376,15 +369,17 @@ class RosRecording(PiecewiseRecording):
                 ) -> Iterator[tuple[Batch, float]]:
         """Yield the samples of each message, and the share of the bag read by then."""
         timeline = Timeline()
-        clocks = {name: Clock(timeline) for name in ("events", "frames", "triggers")}
+        clocks = {name: Clock(timeline, held=HELD if name == "events" else 0)
+                  for name in ("events", "frames", "triggers")}
         words = WordStream(3, self._info.sensor_size)
         promised = NEVER
         exposures: dict[int, tuple[int, int, int]] = {}
         both = len(self._topics) > 1
         messages = self._messages()
-        ahead = deque(islice(messages, LOOK_AHEAD))
+        ahead = deque(islice(messages, REACH))
         for number in count():
             if not ahead:
+                yield Batch(self._taken(None, 0, clocks["events"], number, memory)), 1.0
                 return
             topic, kind, data = ahead.popleft()
             ahead.extend(islice(messages, 1))
@@ -393,7 +388,8 @@ class RosRecording(PiecewiseRecording):
                 message = _Message(data, self._cdr)
                 if kind == IMAGES:
                     batch.frames = self._frame(
-                        message, clocks["frames"], number, promised, exposures)
+                        message, clocks["frames"], number, promised, exposures,
+                        list(self._stamps(ahead)))
                 elif kind == REFERENCE:
                     start, end = message.header() // 1000, message.stamp() // 1000
                     exposures[start + end >> 1] = start, end, int(message.text())
@@ -401,7 +397,7 @@ class RosRecording(PiecewiseRecording):
                     message.header()
                     message.size()
                     batch.events = self._array(
-                        message, clocks["events"], memory, number, ahead)
+                        message.events(), clocks["events"], number, memory)
                 else:
                     batch = self._packet(
                         _Packet(message), clocks, words, memory, number, promised)
@@ -413,7 +409,7 @@ class RosRecording(PiecewiseRecording):
                     batch.events["t"][0] < promised):
                 late = batch.events["t"] < promised
                 self._count(number, "backward time", int(late.sum()), "events came "
-                            "later than the images after them", unit="message")
+                            "later than the images after them")
                 batch.events = batch.events[~late]
             newest = max(clock.last for clock in clocks.values())
             promised = batch.complete_us = max(promised, newest - (
@@ -461,8 +457,9 @@ class RosRecording(PiecewiseRecording):
         self._log.damage("end", f"the bag cannot be read further: {error}", offset=0)
 
     def _frame(self, message: _Message, clock: Clock, number: int, promised: int,
-               exposures: dict[int, tuple[int, int, int]]) -> list[ApsFrame]:
-        t = np.array([message.header() // 1000], np.int64)
+               exposures: dict[int, tuple[int, int, int]], following: list[int]
+               ) -> list[ApsFrame]:
+        stamp = message.header() // 1000
         size = message.size()
         encoding = message.text()
         big = message.number("B")
@@ -470,8 +467,7 @@ class RosRecording(PiecewiseRecording):
         data = message.block()
         if size != self._info.sensor_size or encoding not in self._scales:
             self._count(number, "wrong image", 1, f"images are {size[1]}x{size[0]} "
-                        f"{encoding}, not grey or not the sensor's size",
-                        unit="message")
+                        f"{encoding}, not grey or not the sensor's size")
             return []
         kind, factor, full = self._scales[encoding]
         dtype = np.dtype((">" if big else "<") + kind)
@@ -479,12 +475,12 @@ class RosRecording(PiecewiseRecording):
             raise ValueError(f"{len(data)} bytes for {size[0]} rows of {step}")
         rows = np.frombuffer(data, np.uint8, step * size[0]).reshape(size[0], step)
         image = np.ascontiguousarray(rows[:, :size[1] * dtype.itemsize]).view(dtype)
-        keep, _ = clock.order(t)
-        if not keep[0] or t[0] <= promised:
+        found = clock.among(np.array([(stamp,)], [("t", "<i8")]), following)["t"]
+        mid = int(found[0]) if len(found) else promised
+        if mid <= promised:
             self._count(number, "backward time", 1, "images were dropped because time "
-                        "ran backward", unit="message")
+                        "ran backward")
             return []
-        mid = int(t[0])
         start, end, ready = exposures.pop(mid, (mid, mid, None))
         if start + end >> 1 != mid or (ready or end) < end:
             raise ValueError(f"an exposure from {start} to {end} us, read at {ready}")
@@ -493,35 +489,20 @@ class RosRecording(PiecewiseRecording):
         return [ApsFrame(dn, start, end, full_scale_dn=full, available_us=ready,
                          valid=None if valid is None or valid.all() else valid)]
 
-    def _array(self, message: _Message, clock: Clock, memory: Scratch, number: int,
-               ahead: Iterable[tuple[str, str, bytes]]) -> NDArray[Any]:
-        """Return the events of a dvs_msgs/EventArray; ahead are the next messages."""
-        where, before = message.events(), clock.last
-        events = self._taken(
-            lambda done, out: _kernels.ros_events(
-                *where, done, *self._info.sensor_size, clock.state, out),
-            where[3], clock, number, memory, unit="message")
-        following = list(self._following(ahead, 1, clock))
-        if not len(events) or (following and events["t"][-1] <= following[0][0]):
-            return events
-        following = list(self._following(ahead, MAX_MESSAGE, clock))
-        _, last = possible_range(events["t"].astype(np.int64), following, before)
-        good = events[:np.searchsorted(events["t"], last, "right")]
-        if len(good) < len(events):
-            self._count(number, "backward time", len(events) - len(good), "events were "
-                        "dropped because time ran backward", unit="message")
-            clock.state[LAST] = good["t"][-1] if len(good) else before
-        return good
-
-    def _following(self, ahead: Iterable[tuple[str, str, bytes]], most: int,
-                   clock: Clock) -> Iterator[NDArray[np.int64]]:
-        """Yield the first times of each message of events among the next ones."""
+    def _stamps(self, ahead: Iterable[tuple[str, str, bytes]]) -> Iterator[int]:
+        """Yield the times of the images among the next messages."""
         for _, kind, data in ahead:
-            if kind in EVENT_ARRAYS:
+            if kind == IMAGES:
                 with suppress(ValueError, struct.error):
-                    times = _Message(data, self._cdr).times(most)
-                    if len(times):
-                        yield times + int(clock.state[OFFSET])
+                    yield _Message(data, self._cdr).header() // 1000
+
+    def _array(self, where: _Where, clock: Clock, number: int, memory: Scratch
+               ) -> NDArray[Any]:
+        """Return the events of a dvs_msgs/EventArray, given where they are."""
+        return self._taken(
+            lambda out: _kernels.ros_events(
+                *where, *self._info.sensor_size, clock.state, out),
+            where[3], clock, number, memory)
 
     def _packet(self, packet: _Packet, clocks: dict[str, Clock], words: WordStream,
                 memory: Scratch, number: int, promised: int) -> Batch:
@@ -533,31 +514,34 @@ class RosRecording(PiecewiseRecording):
                              f"{', big-endian' if packet.big else ''}")
         if packet.encoding in ENCODINGS:
             batch.events = self._checked(
-                ENCODINGS[packet.encoding](data, packet.base_ns), clock, number, memory,
-                unit="message")
+                ENCODINGS[packet.encoding](data, packet.base_ns), clock, number, memory)
         elif packet.encoding == "trigger":
             t, rising = trigger(data, packet.base_ns)
-            clock = clocks["triggers"]
-            t += int(clock.state[OFFSET])
+            t = clock.moved(t, clock.last)
         else:
             read = np.frombuffer(data, "<u2", len(data) // 2)
-            if clock.last == NEVER:
+            if not clock.begun:
                 # The sensor's time has another zero; the stamp is that of the first.
-                preview = deepcopy(words)
-                first = preview.events(read, Clock(Timeline()))["t"]
-                first = np.concatenate((first[:1], preview.triggers[:1, 0]))
+                preview, state = deepcopy(words), Clock(None).state
+                room = np.empty(words.room(read), EVENT_DTYPE)
+                preview.decode(read, state, room)
+                first = room["t"][:min(int(state[FILLED]), 1)]
+                first = np.concatenate((first, preview.triggers[:1, 0]))
                 clock.state[OFFSET] = packet.stamp_us - int(first.min()) if len(
                     first) else 0
-            batch.events = words.events(read, clock, memory)
-            self._dropped(clock, number, words.jumps, unit="message")
+            before = clock.last
+            batch.events = self._taken(
+                lambda out: words.decode(read, clock.state, out), words.room(read),
+                clock, number, memory)
             t, rising = words.triggers.T
+            t = clock.moved(t, before)
         if rising is not None and len(t):
             batch.triggers, late = ordered_triggers(t, rising, max(
                 promised, clocks["triggers"].last))
             self._count(number, "late triggers", late, "triggers were dropped because "
-                        "time ran backward", unit="message")
+                        "time ran backward")
             if len(batch.triggers):
-                clocks["triggers"].state[LAST] = batch.triggers["t"][-1]
+                clocks["triggers"].state[BEFORE] = batch.triggers["t"][-1]
         return batch
 
 

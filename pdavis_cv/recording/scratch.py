@@ -15,7 +15,7 @@ from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.limits import Budget
 
-__all__ = ["Gathering", "Scratch"]
+__all__ = ["Gathering", "Scratch", "copy_rows"]
 
 _LEAST_ROOM = 1 << 16
 _SPARE = 1.05
@@ -40,6 +40,9 @@ class Scratch:
     def room(self, count: int) -> NDArray[Any]:
         """Return an array of EVENT_DTYPE, shape (count,), to be filled."""
         return np.empty(count, EVENT_DTYPE)
+
+    def reserve(self, count: int) -> None:
+        """Prepare for more events; `room` needs no such preparation here."""
 
 
 class Gathering(Scratch):
@@ -71,7 +74,7 @@ class Gathering(Scratch):
         if self._end + count > len(self._all):
             more = np.empty(max(self._end + count, 2 * len(self._all), _LEAST_ROOM),
                             EVENT_DTYPE)
-            _copy(self._all[:self._end], more[:self._end])
+            copy_rows(self._all[:self._end], more[:self._end])
             self._all = more
 
     def expect(self, share: float) -> None:
@@ -94,7 +97,7 @@ class Gathering(Scratch):
             self._budget.total((self._end + hi) * events.itemsize)
             self.reserve(hi)
             if not np.may_share_memory(events, self._all):
-                _copy(events[:hi], self._all[self._end:self._end + hi])
+                copy_rows(events[:hi], self._all[self._end:self._end + hi])
             if self._first == self._end:
                 self._first += lo
             self._end += hi
@@ -106,6 +109,6 @@ class Gathering(Scratch):
         return self._all[self._first:self._end]
 
 
-def _copy(events: NDArray[Any], out: NDArray[Any]) -> None:
-    # Copy bytes, as NumPy copies packed structures field by field.
+def copy_rows(events: NDArray[Any], out: NDArray[Any]) -> None:
+    """Copy by bytes, as NumPy copies packed structures field by field."""
     out.view(np.uint8)[:] = events.view(np.uint8)

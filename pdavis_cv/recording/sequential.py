@@ -100,15 +100,16 @@ class SequentialRecording(PiecewiseRecording):
             Next position; equal to `at` at the end of the file.
         """
 
-    def _triggers(self, at: int, state: Any, after_us: int) -> NDArray[Any] | None:
+    def _triggers(self, at: int, clock: Clock, state: Any, after_us: int
+                  ) -> NDArray[Any] | None:
         """Return the triggers of the chunk that was decoded last, if it has any.
 
         Parameters
         ----------
         at : int
             Position of the chunk.
-        state : object
-            State after it.
+        clock, state
+            Those after it.
         after_us : int
             No trigger may be earlier.
         """
@@ -127,8 +128,9 @@ class SequentialRecording(PiecewiseRecording):
             self._marks.note(at, before, (at, clock, state))
             events, after = self._next(at, clock, state, memory)
             if after == at:
+                yield Batch(self._taken(None, 0, clock, at, memory)), 1.0
                 return
-            yield Batch(events, triggers=self._triggers(at, state, before),
+            yield Batch(events, triggers=self._triggers(at, clock, state, before),
                         complete_us=clock.last), (
                 after - self._begin) / (self._end - self._begin)
             at = after

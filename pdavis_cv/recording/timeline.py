@@ -1,8 +1,10 @@
-"""Make times increase: drop samples that run backward, and begin new segments.
+"""Time of the streams of a recording: order, outliers, and segments.
 
-A jump backward by more than a second starts a new segment, which is moved to follow the
-one before it.  After a smaller jump, samples are dropped and counted until time has
-caught up.
+A time is accepted on the evidence of those around it.  Where time falls, the fewest
+samples are dropped that leave the others in order.  Where it falls by more than a
+second and most of the samples that follow agree, a new segment begins, which is moved
+to follow the one before.  After a smaller fall, samples are dropped and counted until
+time has caught up.
 """
 from __future__ import annotations
 
@@ -16,10 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.events import FAR
+from pdavis_cv import _kernels
+from pdavis_cv.events import EVENT_DTYPE, FAR
+from pdavis_cv.recording.scratch import Scratch, copy_rows
 
-__all__ = ["LOOK_AHEAD", "NEVER", "SEGMENT_US", "Clock", "Marks", "Timeline",
-           "possible_range"]
+__all__ = ["LOOK_AHEAD", "NEVER", "SEGMENT_US", "Clock", "Marks", "SegmentError",
+           "Timeline", "possible_range"]
 
 NEVER = -FAR
 """A time before any that a file may hold, us."""
@@ -29,17 +33,30 @@ WRAP_US = 1 << 32
 LOOK_AHEAD = 3
 """Number of packets that follow from which `possible_range` is found: of three, one may
 be damaged."""
+REACH, HELD = 8, 64
+"""Events after one that decide on it, and events before it that may still be dropped,
+as in the kernel."""
 
 # Indices into the state of a Clock.
-FILLED, LAST, OFFSET, OUTSIDE, BACKWARD, BEFORE = 0, 1, 2, 3, 4, 6
+FILLED, LAST, OFFSET, OUTSIDE, BACKWARD, ORDERED, BEFORE = range(7)
+
+
+class SegmentError(Exception):
+    """Raised where a segment begins in a stream that is read without the others."""
 
 
 class Timeline:
-    """The segments of one pass over a recording, shared by its streams."""
+    """The segments of one pass over a recording, shared by its streams.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    alone : bool
+        Whether one of several streams is read: the shift of a segment depends on all.
+    """
+
+    def __init__(self, *, alone: bool = False) -> None:
         self._moves: list[int] = []
-        self.last = NEVER
+        self._alone = alone
 
     def move(self, jump: int, back_us: int) -> int:
         """Return the shift of the times after a jump of one stream.
@@ -51,6 +68,8 @@ class Timeline:
         back_us : int
             Size of the jump backward.
         """
+        if self._alone:
+            raise SegmentError
         if jump == len(self._moves):
             # A counter of 32 bits cannot fall by several of its periods.
             wraps = abs(back_us - WRAP_US) < SEGMENT_US
@@ -59,75 +78,163 @@ class Timeline:
 
 
 class Clock:
-    """The time of one stream: its last sample, and the shift added to its times.
+    """The time of one stream: which samples are in order, and the shift of their times.
+
+    The last samples are held back until those that follow decide on them.
+
+    Parameters
+    ----------
+    timeline : Timeline, optional
+        Segments of the recording; default: there are none, times only increase.
+    last : int
+        Time before the first sample.
+    reach, held : int
+        How many samples after one decide on it, and how many before it may be dropped.
 
     Attributes
     ----------
     state : ndarray of int64, shape (7,)
         As in ``_kernels/_check.pxd``: filled, last, offset, outside, backward,
-        first bad, before.
+        ordered, before.
+    jumps : int
+        Number of segments that began.
     """
 
-    def __init__(self, timeline: Timeline, last: int = NEVER) -> None:
-        self._timeline = timeline
-        self._jumps = 0
+    def __init__(self, timeline: Timeline | None, last: int = NEVER, *,
+                 reach: int = REACH, held: int = HELD) -> None:
+        self._timeline, self._reach, self._most_held = timeline, reach, held
+        self.jumps = 0
         self.state = np.array([0, last, 0, 0, 0, -1, last], np.int64)
+        self._held: NDArray[Any] | None = None
+        self._accepted = self._offset_before = 0
 
     @property
     def last(self) -> int:
-        """Time of the last accepted sample."""
-        return int(self.state[1])
+        """Time of the last sample that was returned; no later one is before it."""
+        return int(self.state[BEFORE])
 
-    def begin(self) -> None:
-        """Reset the counts of accepted and dropped samples."""
-        self.state[[FILLED, OUTSIDE, BACKWARD]] = 0
-        self.state[BEFORE] = self.last
+    @property
+    def begun(self) -> bool:
+        """Whether it has seen samples."""
+        return self._held is not None
 
-    def jump(self, t_us: int) -> int:
-        """Begin a new segment before a sample at t_us; return its shift."""
-        back = self.last - t_us
-        move = self._timeline.move(self._jumps, back)
-        self._jumps += 1
-        # Repeated jumps over the whole range would overflow.
-        self.state[2] = min(max(int(self.state[2]) + move, -2 * FAR), 2 * FAR)
-        return move
+    def _jump(self, back_us: int) -> int:
+        assert self._timeline is not None
+        self.jumps += 1
+        return self._timeline.move(self.jumps - 1, back_us)
 
-    def order(self, times: NDArray[Any]) -> tuple[NDArray[np.bool_], list[int]]:
-        """Shift times in place; return which samples to keep and where segments begin.
+    def room(self, memory: Scratch, count: int) -> NDArray[Any]:
+        """Return memory in which a kernel appends up to count events, for `settled`.
 
-        A time ahead of both its neighbours is dropped, and so is one far behind both.
+        The counts of dropped events are reset.
+        """
+        held = 0 if self._held is None else len(self._held)
+        out = memory.room(held + count)
+        if self._held is not None:
+            copy_rows(self._held, out[:held])
+        state = self.state
+        state[FILLED] = state[ORDERED] = held
+        state[LAST], state[OUTSIDE], state[BACKWARD] = NEVER, 0, 0
+        return out
+
+    def settled(self, out: NDArray[Any], *, final: bool = False) -> NDArray[Any]:
+        """Return the events in memory from `room` that are accepted for good.
 
         Parameters
         ----------
-        times : ndarray of int64, shape (N,)
+        out : ndarray of EVENT_DTYPE, shape (N,)
+        final : bool
+            Whether none follow.
         """
-        keep = np.ones(len(times), np.bool_)
-        segments: list[int] = []
-        if not len(times):
-            return keep, segments
-        offset = int(self.state[2])
-        if (self.last <= int(times[0]) + offset and np.all(times[1:] >= times[:-1])
-                and -FAR < int(times[0]) and int(times[-1]) + offset < FAR):
-            times += offset
-            self.state[1] = times[-1]
-            return keep, segments
-        raws = times.tolist()
-        for i, raw in enumerate(raws):
-            t, later = raw + int(self.state[2]), raws[i + 1:i + 2]
-            # As `take` in _check.pxd: time jumps back only if the next one agrees.
-            while self.last - t > SEGMENT_US and -FAR < t and (
-                    later[0] + int(self.state[2]) < self.last if later
-                    else len(raws) == 1):
-                t += self.jump(t)
-                segments.append(i)
-            ahead = bool(later) and t > later[0] + int(self.state[2]) >= self.last
-            keep[i] = self.last <= t < FAR and t > -FAR and not ahead
-            if keep[i]:
-                times[i] = t
-                self.state[1] = t
-            else:
-                self.state[4] += 1
-        return keep, segments
+        left, done = self._settle(out, int(self.state[FILLED]), final)
+        self._held = out[done:left]
+        return out[:done]
+
+    def moved(self, t: NDArray[np.int64], after_us: int) -> NDArray[np.int64]:
+        """Return times of another stream of the piece that was settled last.
+
+        Parameters
+        ----------
+        t : ndarray of int64, shape (N,)
+            In the file, in its order.
+        after_us : int
+            Time of the last sample before.
+        """
+        before = t + self._offset_before
+        fallen = np.maximum(np.maximum.accumulate(before), after_us) - before
+        return np.where(fallen > SEGMENT_US, t + int(self.state[OFFSET]), before)
+
+    def order(self, samples: NDArray[Any], *, final: bool = False) -> NDArray[Any]:
+        """Return the samples that are accepted for good, of those held and the next.
+
+        Parameters
+        ----------
+        samples : ndarray with a field t, shape (N,)
+        final : bool
+            Whether none follow.
+        """
+        if self._held is not None:
+            samples = np.concatenate((self._held, samples))
+        self.state[OUTSIDE:BEFORE] = 0, 0, -1
+        times, n = samples["t"], len(samples)
+        if n and not self.state[OFFSET] and (   # as usual
+                0 <= int(times[0]) - self.last < SEGMENT_US
+                and int(times[-1]) - self.last < SEGMENT_US
+                and np.all(times[1:] >= times[:-1])):
+            accepted = n if final else max(n - self._reach, self._accepted)
+            done = accepted if final else max(accepted - self._most_held, 0)
+            self._accepted = accepted - done
+            for place, count in ((LAST, accepted), (BEFORE, done)):
+                if count:
+                    self.state[place] = times[count - 1]
+        else:
+            rows = _rows(times)
+            left, done = self._settle(rows, n, final)
+            samples = samples[_indices(rows[:left])]
+            samples["t"] = rows["t"][:left]
+        self._held = samples[done:]
+        return samples[:done]
+
+    def among(self, samples: NDArray[Any], following: Sequence[int]) -> NDArray[Any]:
+        """Return the samples that are accepted, given times in the file that follow.
+
+        For streams of which no sample can be held back.
+        """
+        last, offset, jumps = self.last, int(self.state[OFFSET]), self.jumps
+        rows = _rows(np.append(samples["t"], np.asarray(following[:REACH], np.int64)))
+        _, done = self._settle(rows, len(rows), True)
+        kept = _indices(rows[:done])
+        kept = kept[kept < len(samples)]
+        times = rows["t"][:len(kept)]
+        if not len(kept) or samples["t"][kept[-1]] + offset == times[-1]:
+            self.state[OFFSET], self.jumps = offset, jumps    # a segment may follow
+        self.state[[LAST, BEFORE]] = times[-1] if len(kept) else last
+        self.state[[OUTSIDE, BACKWARD]] = 0, len(samples) - len(kept)
+        self._accepted = 0
+        samples = samples[kept]
+        samples["t"] = times
+        return samples
+
+    def _settle(self, rows: NDArray[Any], n: int, final: bool) -> tuple[int, int]:
+        """Return how many events are left of n, and how many of these are certain."""
+        self._offset_before = int(self.state[OFFSET])
+        accepted, left, done = _kernels.settle(
+            rows, self._accepted, n, self._reach, self._most_held, final,
+            None if self._timeline is None else self._jump, self.state)
+        self._accepted = accepted - done
+        return left, done
+
+
+def _rows(times: NDArray[np.int64]) -> NDArray[Any]:
+    """Return rows for the kernel, with the index in place of an event's pixel."""
+    rows, index = np.empty(len(times), EVENT_DTYPE), np.arange(len(times))
+    rows["t"], rows["x"], rows["y"] = times, index & 0xFFFF, index >> 16
+    return rows
+
+
+def _indices(rows: NDArray[Any]) -> NDArray[np.int64]:
+    found: NDArray[np.int64] = rows["x"] | rows["y"].astype(np.int64) << 16
+    return found
 
 
 class Marks:

@@ -1,7 +1,11 @@
 """Recordings in AEDAT-4."""
 from __future__ import annotations
 
+import contextlib
+from bisect import bisect_left
 from collections.abc import Iterator
+from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 from numpy.typing import NDArray
@@ -9,33 +13,27 @@ from numpy.typing import NDArray
 from pdavis_cv.errors import PdavisWarning, RecordingError
 from pdavis_cv.recording.aedat4 import samples
 from pdavis_cv.recording.aedat4.container import Aedat4File, Entry, Stream
-from pdavis_cv.recording.aedat4.cursor import Cursor
+from pdavis_cv.recording.aedat4.cursor import FRAMES_UNDER_WAY, Cursor
 from pdavis_cv.recording.aedat4.flatbuffer import PayloadError
-from pdavis_cv.recording.base import Packet, RecordingInfo
+from pdavis_cv.recording.base import Recording, RecordingInfo
 from pdavis_cv.recording.facts import stated
-from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.options import SourceOptions
-from pdavis_cv.recording.packetise import (
-    END_OF_TIME,
-    Batch,
-    between,
-    cell_start,
-    packetise,
-)
-from pdavis_cv.recording.timeline import NEVER, Marks, Timeline
+from pdavis_cv.recording.packetise import Batch, cell_start
+from pdavis_cv.recording.scratch import Scratch
+from pdavis_cv.recording.sequential import PiecewiseRecording
+from pdavis_cv.recording.timeline import NEVER, Marks, SegmentError, Timeline
 from pdavis_cv.sensor import Layout, Sensor
 
 __all__ = ["Aedat4Recording"]
 
 KINDS = ("EVTS", "FRME", "IMUS", "TRIG")
-FRAMES_UNDER_WAY = 3
 MARK_PULLS = 64
-"""The index gives a frame's timestamp; its readout ends within this time of it."""
+"""Packets between two places where reading can resume without an index."""
 EPOCH_US = 10**15
 """Times beyond this (the year 2001) are Unix times; smaller ones have another zero."""
 
 
-class Aedat4Recording(FileRecording):
+class Aedat4Recording(PiecewiseRecording):
     """A recording in AEDAT-4; see `open_recording`.
 
     Parameters
@@ -178,9 +176,10 @@ class Aedat4Recording(FileRecording):
                 starts += [t for t in (ends[0].start_us,) if t is not None]
                 stops += [t for t in (ends[1].stop_us,) if t is not None]
             else:
-                got = self._cursor(kind, Timeline()).pull()
-                if got is not None and len(got):
-                    starts.append(int(got["t"][0]))
+                cursor = self._cursor(kind, Timeline(), Scratch())
+                while (got := cursor.pull()) is not None and not len(got):
+                    pass
+                starts += [] if got is None else [int(got["t"][0])]
         return min(starts, default=None), max(stops) + 1 if stops else None
 
     def _frame_time(self, entry: Entry) -> int | None:
@@ -192,33 +191,37 @@ class Aedat4Recording(FileRecording):
 
     # Reading -------------------------------------------------------------------
 
-    def packets(
-        self, start_us: int | None = None, stop_us: int | None = None
-    ) -> Iterator[Packet]:
-        """Iterate over the samples with start_us <= time < stop_us, in time order."""
-        return packetise(
-            self._batches(start_us), start_us, stop_us, self._budget)
-
     def events(
         self, start_us: int | None = None, stop_us: int | None = None
     ) -> NDArray[Any]:
         """Return the events of start_us <= time < stop_us as one array."""
-        if "EVTS" in self._streams and (start_us is None or self._ordered()):
-            cursor = self._cursor("EVTS", Timeline(), *self._seek("EVTS", start_us))
-            end = END_OF_TIME if stop_us is None else stop_us
-            events = cursor.all_events(end)
-            if events is not None:
-                first = -END_OF_TIME if start_us is None else start_us
-                return between(events, first, end)
-        return super().events(start_us, stop_us)
+        with contextlib.suppress(SegmentError):
+            return super().events(start_us, stop_us)
+        return Recording.events(self, start_us, stop_us)
 
-    def _batches(self, start_us: int | None) -> Iterator[Batch]:
-        """Read from the stream with the earliest position, until all have ended."""
-        cursors, pulls, newest = self._begin(start_us)
-        marked = not self._file.indexed or not self._ordered()
+    def _pieces(self, start_us: int | None, memory: Scratch, *, frames: bool = True
+                ) -> Iterator[tuple[Batch, float]]:
+        """Read from the stream with the earliest position, until all have ended.
+
+        Raises
+        ------
+        SegmentError
+            If only events are needed, and the shift of a segment depends on all
+            streams.
+        """
+        cursors, pulls, newest = self._begin(start_us, memory, frames)
+        if not frames:
+            if start_us is None:
+                # A damaged index may hold any count; the size of a packet limits it.
+                memory.reserve(sum(min(e.count or 0, 16 * e.size) for c in cursors
+                                   for e in self._streams[c.kind].entries))
+            for cursor in cursors:
+                while (got := cursor.pull()) is not None:
+                    yield Batch(got), 0.0
+            return
         while cursors:
-            if marked:
-                # Later readings can resume here if there is no index.
+            if not self._trusted:
+                # Later readings can resume here.
                 newest = max(newest, *(cursor.clock.last for cursor in cursors))
                 self._marks.note(
                     pulls, newest, (pulls, newest, [cursor.mark for cursor in cursors]))
@@ -232,89 +235,66 @@ class Aedat4Recording(FileRecording):
                 batch = Batch(**{_FIELDS[cursor.kind]: got})
             if cursors:
                 batch.complete_us = min(c.clock.last for c in cursors)
-            yield batch
+            yield batch, 0.0
 
-    def _begin(self, start_us: int | None) -> tuple[list[Cursor], int, int]:
+    def _begin(self, start_us: int | None, memory: Scratch, frames: bool
+               ) -> tuple[list[Cursor], int, int]:
         """Return cursors from which every sample of the cell of start_us on is read.
 
         Also returned are the number of packets read before them, and the latest time
         of their samples.
         """
-        if start_us is not None and not self._ordered():
-            found = self._marks.before(cell_start(start_us))
-            if found is not None:
-                pulls, newest, marks = found
-                cursors = [self._cursor(mark[0], Timeline()) for mark in marks]
-                for cursor, mark in zip(cursors, marks, strict=True):
-                    cursor.go_to(mark)
-                return cursors, pulls, newest
-        timeline = Timeline()
-        return [self._cursor(kind, timeline, *self._seek(kind, start_us))
-                for kind in KINDS if kind in self._streams], 0, NEVER
+        kinds = [kind for kind in KINDS if kind in self._streams and (
+            frames or kind == "EVTS")]
+        timeline = None if self._trusted else Timeline(alone=not frames and len(
+            self._streams) > 1)
+        cursors = [self._cursor(kind, timeline, memory) for kind in kinds]
+        if start_us is None:
+            return cursors, 0, NEVER
+        begin = cell_start(start_us)
+        if self._trusted:
+            for cursor in cursors:
+                cursor.next = self._seek(cursor, begin)
+            return cursors, 0, NEVER
+        pulls, newest, marks = self._marks.before(begin) or (0, NEVER, None)
+        if marks is not None:
+            places = {mark[0]: mark for mark in marks}
+            cursors = [cursor for cursor in cursors if cursor.kind in places]
+            for cursor in cursors:
+                cursor.go_to(places[cursor.kind])
+        return cursors, pulls, newest
 
-    def _cursor(self, kind: str, timeline: Timeline, first: int = 0,
-                last_us: int = NEVER) -> Cursor:
+    def _cursor(self, kind: str, timeline: Timeline | None, memory: Scratch) -> Cursor:
         return Cursor(
             self._file, kind, self._streams[kind].entries, timeline, size=self._size,
-            scale=self._scale, jaer=self._jaer, strict=self._strict, first=first,
-            last_us=last_us)
+            scale=self._scale, jaer=self._jaer, strict=self._strict, memory=memory)
 
-    def _seek(self, kind: str, start_us: int | None) -> tuple[int, int]:
-        """Return the index of the first packet to read, and the last time before it.
+    def _seek(self, cursor: Cursor, begin: int) -> int:
+        """Return the first packet to read for the samples from a time on.
 
-        If the index shows that time runs backward, the file is read from its beginning
-        or a mark, as the samples to drop depend on everything before.
+        So many samples that agree with the index lie between that the rest depends on
+        nothing before it.
         """
-        if start_us is None or not self._ordered():
-            return 0, NEVER
-        begin = cell_start(start_us)
-        entries = self._streams[kind].entries
-        lo, hi = 0, len(entries)
-        while lo < hi:
-            middle = (lo + hi) // 2
-            if (entries[middle].stop_us or 0) < begin:
-                lo = middle + 1
-            else:
-                hi = middle
-        lo = max(lo - 1, 0)
-        if kind == "FRME":
-            # The index has the start of frames: some that began before start_us may
-            # end after it, but no more than a camera can have in work at a time.
-            return max(lo - FRAMES_UNDER_WAY, 0), NEVER
-        if lo == 0:
-            return lo, NEVER
-        last = entries[lo - 1].stop_us
-        return lo, NEVER if last is None else last
+        entries = self._streams[cursor.kind].entries
+        at = bisect_left(entries, begin, key=lambda entry: entry.stop_us or 0)
+        if cursor.kind == "FRME":
+            at = max(at - FRAMES_UNDER_WAY, 0)
+        clean = 0
+        while at > 0 and clean < cursor.needed:
+            at -= 1
+            count = cursor.clean(at)
+            clean = clean + count if count else 0
+        return at
 
-    def _ordered(self) -> bool:
-        if not hasattr(self, "_in_order"):
-            if not self._file.indexed:
-                self._make_index()
-            self._in_order = all(
-                e.start_us is not None and e.stop_us is not None
-                and e.start_us <= e.stop_us
-                and (i == 0 or e.start_us >= (stream.entries[i - 1].stop_us or 0))
-                for stream in self._streams.values()
-                for i, e in enumerate(stream.entries))
-        return self._in_order
-
-    def _make_index(self) -> None:
-        """Find the times of every packet of a file without an index."""
-        for kind, stream in self._streams.items():
-            for entry in stream.entries:
-                try:
-                    times = samples.span(kind, *self._file.table(entry))
-                except PayloadError:
-                    times = None  # reported when it is read
-                if times:
-                    entry.start_us, entry.stop_us = times
+    @cached_property
+    def _trusted(self) -> bool:
+        """Whether the index has the times of all packets, in order."""
         for stream in self._streams.values():
-            # A packet without times gets the end of its predecessor.
-            last = NEVER
-            for entry in stream.entries:
-                if entry.start_us is None or entry.stop_us is None:
-                    entry.start_us = entry.stop_us = last
-                last = entry.stop_us
+            times = [t for e in stream.entries for t in (e.start_us, e.stop_us)]
+            if None in times or any(a > b for a, b in pairwise((  # type: ignore
+                    NEVER, *times, -NEVER))):
+                return False
+        return self._file.indexed
 
 
 _FIELDS = {"EVTS": "events", "FRME": "frames", "IMUS": "imu", "TRIG": "triggers"}

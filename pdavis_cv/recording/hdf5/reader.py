@@ -31,7 +31,7 @@ from pdavis_cv.recording.facts import ASSUMED, FILE, Fact, stated
 from pdavis_cv.recording.files import microseconds
 from pdavis_cv.recording.hdf5.separate import SeparateImages
 from pdavis_cv.recording.options import SourceOptions
-from pdavis_cv.recording.packetise import Batch, cell_start
+from pdavis_cv.recording.packetise import END_OF_TIME, Batch, cell_start
 from pdavis_cv.recording.prophesee import ordered_triggers
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import PiecewiseRecording
@@ -87,6 +87,8 @@ class Hdf5Recording(PiecewiseRecording):
     path : path
     options : SourceOptions
     """
+
+    _unit = "row"
 
     def _open(self, options: SourceOptions) -> RecordingInfo:
         h5py, path = h5py_module(), self._path
@@ -225,7 +227,7 @@ class Hdf5Recording(PiecewiseRecording):
                 f"holds {', '.join(self._file) or 'nothing'}")
         self._length = self._common_length(parts)
         self._piece = min((part.chunks or (CHUNK,))[0] for part in parts)
-        unit = _unit(self._first(read)[0]) if kind == "f" else 1.0
+        unit = _us_per_unit(self._first(read)[0]) if kind == "f" else 1.0
         stated = self._member(self._file, "t_offset")
         offset = 0 if stated is None else int(stated[()])
         offset = min(max(offset, -FAR // 2), FAR // 2)
@@ -347,6 +349,9 @@ class Hdf5Recording(PiecewiseRecording):
             yield Batch(events, ready, complete_us=min(
                 [now, *(f.ready for f in places[taken:taken + 1])])), (
                     min(row + CHUNK, self._length) / self._length)
+        rest = self._taken(None, 0, clock, self._length, memory)
+        yield Batch(rest, complete_us=min([END_OF_TIME, *(
+            f.ready for f in places[taken:taken + 1])])), 1.0
         for place in places[taken:]:
             yield Batch(frames=self._frame(place), complete_us=place.ready), 1.0
 
@@ -379,7 +384,7 @@ class Hdf5Recording(PiecewiseRecording):
                                for at in range(row, stop, step)])
             self._damage(row, f"events {row} .. {stop}", error)
             return np.empty(0, EVENT_DTYPE)
-        return self._checked(columns, clock, row, memory, unit="row")
+        return self._checked(columns, clock, row, memory)
 
     def _table(self, name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
         """Return the IMU samples or triggers that this library's writer stored."""
@@ -394,16 +399,14 @@ class Hdf5Recording(PiecewiseRecording):
                     raise ValueError(f"{found.shape} of {found.dtype}")
                 self._bounded(found, name)
                 table: NDArray[Any] = found[()]
-                times = table["t"].astype(np.int64)
         except _LostError as error:
             self._damage(name, name, error)
             return np.empty(0, dtype)
-        keep, _ = Clock(Timeline()).order(times)
-        table["t"] = times
-        if not keep.all():
+        kept = Clock(Timeline()).order(table, final=True)
+        if len(kept) < len(table):
             self._log.add("backward time", name, f"{name} samples were dropped because "
-                          "time ran backward", count=int(np.count_nonzero(~keep)))
-        return table[keep]
+                          "time ran backward", count=len(table) - len(kept))
+        return kept
 
     def _triggers(self) -> NDArray[Any]:
         """Return the external triggers of Metavision, or those of this library."""
@@ -415,7 +418,7 @@ class Hdf5Recording(PiecewiseRecording):
                     triggers, late = ordered_triggers(
                         found["t"].astype(np.int64), found["p"], NEVER)
                     self._count(0, "late triggers", late, "triggers were "
-                                "dropped because time ran backward", unit="row")
+                                "dropped because time ran backward")
                     return triggers
         except _LostError as error:
             self._damage("EXT_TRIGGER", "the triggers", error)
@@ -434,7 +437,7 @@ class Hdf5Recording(PiecewiseRecording):
                     if stamps is None:
                         return []
                     raw = stamps[()]
-                mids = microseconds(raw, _unit(raw))
+                mids = microseconds(raw, _us_per_unit(raw))
                 rows = np.stack([self._extra(name, mids) for name in (
                     "exposure_start_us", "exposure_end_us", "available_us")], 1)
         except _LostError as error:
@@ -505,7 +508,7 @@ class _Place(NamedTuple):
     ready: int
 
 
-def _unit(t: NDArray[Any]) -> float:
+def _us_per_unit(t: NDArray[Any]) -> float:
     """Return microseconds per unit of times; times with fractions are seconds."""
     whole = t.dtype.kind != "f" or np.all(t[np.isfinite(t)] % 1 == 0)
     return 1.0 if whole else 1e6
