@@ -112,7 +112,7 @@ def test_pixels_that_have_been_still_are_shown_as_others(mode, monkeypatch):
             one.settle(now)
             fed_us = now
             shown[all_].append(read(one, t))
-            quiet[all_] += one._awake.size - one._woken
+            quiet[all_] += one._store.awake.size - one._awake.size
     assert quiet[False] > 300
     assert quiet[True] == 0
     for some, others in zip(shown[False], shown[True], strict=True):
@@ -242,10 +242,10 @@ def test_events_that_are_dropped_are_not_missed(mode):
         expected = read(fed(make(mode=mode, model=TABLE), events, frames, seen), t)
         for cuts in ((), np.unique(rng.integers(0, seen, 200))):
             small = make(mode=mode, model=TABLE)
-            small._store = small._store[:64].copy()
+            small._store.events = small._store.events[:64].copy()
             got = read(fed(small, events, frames, seen, cuts), t)
-            assert small._stop < 3300
-            assert len(small._store) < 5000
+            assert small._store.stop < 3300
+            assert len(small._store.events) < 5000
             np.testing.assert_allclose(
                 got.log_intensity, expected.log_intensity, atol=1e-5)
             np.testing.assert_allclose(got.variance, expected.variance, rtol=1e-4)
@@ -365,7 +365,7 @@ def test_it_refuses_what_it_cannot_use():
     outside["x"][7] = 6
     with pytest.raises(ValueError, match=r"event 7 at \(x=6"):
         one.add_events(outside)
-    assert one._stop == 7
+    assert one._store.stop == 7
     with pytest.raises(ValueError, match="event 0"):
         one.add_events(events[:3])
     with pytest.raises(ValueError, match="frame"):
@@ -375,5 +375,6 @@ def test_it_refuses_what_it_cannot_use():
     with pytest.raises(ValueError, match="equal KalmanFilter"):
         one.assign(make((2, 2)))
     with pytest.raises(ValueError, match="numbers must be those of a PixelModel"):
-        _kernels.increments_push(events, 0, 0, 0, one._store, one._pixels, np.zeros(3),
-                                 one._due, one._awake, 0)
+        _kernels.increments_push(events, 0, 0, 0, one._store.events,
+                                 one._store.pixels, np.zeros(3), one._store.due,
+                                 one._store.awake, 0)

@@ -1,6 +1,8 @@
 """Recent events, and of each pixel the sums of those that are older."""
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,8 +24,6 @@ PIXEL_DTYPE = np.dtype([
 _LEAST = 1 << 14
 """Initial capacity in events; it doubles when it is full."""
 
-_NONE = np.empty(0, np.int32)
-
 
 class EventStore:
     """Events that are pushed, and committed once they precede every later read.
@@ -39,8 +39,14 @@ class EventStore:
         Each pixel's last committed event, with its sums, and links to the next ones.
     events : ndarray of EVENT_DTYPE, shape (capacity,)
         Those that are not committed, after some that are.
-    committed : int
-        Index of the first event that is not committed.
+    committed, stop : int
+        Index of the first event that is not committed, and number of all.
+    first_us : int or None
+        Time of the first event ever.
+    due : ndarray of int64, shape (H, W)
+        As in `increments_move`.
+    awake, woken : ndarray of int32, int
+        Pixels that are not quiet, and how many: see `increments_rest`.
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
@@ -48,71 +54,75 @@ class EventStore:
         for name in ("at_index", "newest_index", "next"):
             self.pixels[name] = -1
         self.events: Records = np.zeros(_LEAST, EVENT_DTYPE)
-        self.committed = self._stop = 0
-        self._first_us: int | None = None
-        self._due = np.zeros(shape, np.int64)   # no pixel is quiet
+        self.committed = self.stop = 0
+        self.first_us: int | None = None
+        self.due = np.zeros(shape, np.int64)    # no pixel is quiet
+        self.awake, self.woken = np.empty(0, np.int32), 0
 
     def push(
-        self, events: Events, last_us: int, numbers: NDArray[np.float64]
+        self, events: Events, last_us: int, numbers: NDArray[np.float64],
+        keep_us: Callable[[], int] | None = None,
     ) -> int:
         """Append events, counted as `PixelModel.numbers` says; return how many.
 
         Events are taken up to the first one that is out of order or off the sensor.
+        Where room is needed, committed ones go, but those from keep_us() on.
         """
         if not len(events):
             return 0
-        if self._first_us is None:
-            self._first_us = int(events["t"][0])
-        self._make_room(len(events))
-        taken: int = _kernels.increments_push(
-            events, last_us, self._first_us, self._stop, self.events, self.pixels,
-            numbers, self._due, _NONE, 0)[0]
-        self._stop += taken
+        if self.first_us is None:
+            self.first_us = int(events["t"][0])
+        self._make_room(len(events), keep_us)
+        taken: int
+        taken, self.woken = _kernels.increments_push(
+            events, last_us, self.first_us, self.stop, self.events, self.pixels,
+            numbers, self.due, self.awake, self.woken)
+        self.stop += taken
         return taken
 
     @property
     def waiting_us(self) -> int | None:
         """Time of the first event that is not committed, None if there is none."""
         return (int(self.events["t"][self.committed])
-                if self.committed < self._stop else None)
+                if self.committed < self.stop else None)
 
     def commit(self, until_us: int) -> None:
         """Commit all events up to until_us, inclusive."""
-        self.committed = _kernels.increments_commit(
-            self.events, self.committed, self._stop, until_us, self.pixels, self._due,
-            _NONE, 0)[0]
+        self.committed, self.woken = _kernels.increments_commit(
+            self.events, self.committed, self.stop, until_us, self.pixels, self.due,
+            self.awake, self.woken)
 
-    def _make_room(self, n: int) -> None:
-        if self._stop + n <= len(self.events):
+    def _make_room(self, n: int, keep_us: Callable[[], int] | None) -> None:
+        if self.stop + n <= len(self.events):
             return
-        self._drop_committed()
+        drop = self.committed
+        if keep_us is not None and drop:
+            drop = int(np.searchsorted(self.events["t"][:drop], keep_us(), "left"))
+        kept = as_bytes(self.events[drop:self.stop]).copy()
+        self.stop -= drop
+        self.committed -= drop
         # Half of the capacity stays free, so that events are rarely moved.
-        room = max(len(self.events), 2 * (self._stop + n))
+        room = max(len(self.events), 2 * (self.stop + n))
         if room > len(self.events):
-            old, self.events = self.events, np.zeros(room, EVENT_DTYPE)
-            as_bytes(self.events)[:old.nbytes] = as_bytes(old)
-
-    def _drop_committed(self) -> None:
-        kept = as_bytes(self.events[self.committed:self._stop]).copy()
+            self.events = np.empty(room, EVENT_DTYPE)
         as_bytes(self.events)[:kept.size] = kept
-        self._stop -= self.committed
-        _kernels.increments_drop(self.events, self._stop, self.committed, self.pixels)
-        self.committed = 0
+        if drop:
+            _kernels.increments_drop(self.events, self.stop, drop, self.pixels)
 
     def state(self) -> State:
-        """Return copies of everything."""
-        self._drop_committed()
-        return {"first_us": self._first_us, "pixels": as_bytes(self.pixels).copy(),
-                "events": as_bytes(self.events[:self._stop]).copy()}
+        """Return copies of everything, but of what `due` and `awake` say."""
+        return {"first_us": self.first_us, "pixels": as_bytes(self.pixels).copy(),
+                "events": as_bytes(self.events[:self.stop]).copy(),
+                "committed": self.committed}
 
     def restore(self, state: State) -> None:
         """Return to what `state` returned, which is copied."""
-        self._first_us, self.committed = state["first_us"], 0
+        self.first_us, self.committed = state["first_us"], state["committed"]
         as_bytes(self.pixels)[:] = state["pixels"]
         stored = state["events"]
-        self._stop = stored.size // EVENT_DTYPE.itemsize
-        if self._stop > len(self.events):
-            self.events = np.zeros(2 * self._stop, EVENT_DTYPE)
+        self.stop = stored.size // EVENT_DTYPE.itemsize
+        if self.stop > len(self.events):
+            self.events = np.empty(self.stop, EVENT_DTYPE)
         as_bytes(self.events)[:stored.size] = stored
 
 

@@ -33,7 +33,7 @@ from pdavis_cv.reconstruct.kalman.lasting_degree import LastingDegree
 from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
 from pdavis_cv.reconstruct.redundancy import RATIO_SIGMA
-from pdavis_cv.reconstruct.store import EVENT_DTYPE, PIXEL_DTYPE, as_bytes
+from pdavis_cv.reconstruct.store import EventStore, as_bytes
 from pdavis_cv.reconstruct.stream_clock import NEVER, StreamClock, checked_threshold
 from pdavis_cv.recording.base import ApsFrame
 
@@ -45,7 +45,6 @@ LOOKAHEADS = {"buffered": 50_000, "causal": 0, "offline": 500_000}
 _REACH_US = 5_000 - round(1e6 * min(LAGS_S))    # how far back events count, us
 _AHEAD_US = round(1e6 * max(LAGS_S))
 _LATE_US = 500_000      # how late a frame may come, us
-_NO_EVENTS = 1 << 14    # capacity of the store at first, events
 _GAINS_PER_US = 1e-4    # relative error of gains by that of stamps: a tenth per ms
 _PLANES, _PIXEL_NS = 5, 100.0   # of an image in the making; ns by listed pixel
 # As PD_UNKNOWN, PD_PRIOR_ODDS, PD_NEVER, PD_CHANGED and PD_QUIET of _increments.h.
@@ -148,23 +147,17 @@ class KalmanFilter(Reconstructor):
         """Create the state of a filter to which nothing has been fed."""
         self._clock = StreamClock(self.shape)
         self._numbers = self._model.numbers
-        self._store = np.zeros(_NO_EVENTS, EVENT_DTYPE)
-        self._stop = self._committed = 0
-        self._first_us: int | None = None
-        self._pixels = np.zeros(self.shape, PIXEL_DTYPE)
-        for name in ("at_index", "newest_index", "next"):
-            self._pixels[name] = -1
-        self._pixels["quiet_t"] = _NO_TIME
+        self._store = EventStore(self.shape)
+        self._store.pixels["quiet_t"] = _NO_TIME
+        self._store.due = np.empty(self.shape, np.int64)
+        self._store.awake = np.empty(self.shape[0] * self.shape[1], np.int32)
         self._anchors = np.zeros(self.shape, ANCHOR_DTYPE)
         self._begin_gains()
         self._frames: tuple[Waiting, ...] = ()     # the anchor, then later ones
         self._passed = 0                            # 1: the first is the anchor
         self._lasting = LastingDegree(self.shape, self._saturated.response)
         self._lamp = Lamplight()
-        # Pixels that are not quiet (see `increments_rest`), and how many; what an image
-        # is made of, and until when that holds: see `increments_move`.
-        self._awake, self._woken = np.empty(self.shape[0] * self.shape[1], np.int32), 0
-        self._due = np.empty(self.shape, np.int64)
+        # What an image is made of: see `increments_move`.
         self._shown = np.zeros(self.shape, SHOWN_DTYPE)
         self._courses: Records | None = None
         self._planes = np.zeros((_PLANES, *self.shape), np.float32)
@@ -182,13 +175,19 @@ class KalmanFilter(Reconstructor):
         self._back: NDArray[np.float32] | None = None
         self._fresh, self._hot = False, None
         self._scratch: tuple[int, int, KalmanFilter] | None = None
-        last, lit = self._pixels["newest"], self._lit
-        quiet = (self._pixels["next"] < 0) & (self._anchors["hot"] <= _HOT) & (
-            (last["run"] == 0) | (last["t"] == self._pixels["quiet_t"])) & (not lit)
-        self._due[:] = np.where(quiet, _QUIET, _CHANGED)
-        self._woken = int(np.count_nonzero(~quiet))
-        self._awake[:self._woken] = np.flatnonzero(~quiet)
+        store, lit = self._store, self._lit
+        last = store.pixels["newest"]
+        quiet = (store.pixels["next"] < 0) & (self._anchors["hot"] <= _HOT) & (
+            (last["run"] == 0) | (last["t"] == store.pixels["quiet_t"])) & (not lit)
+        store.due[:] = np.where(quiet, _QUIET, _CHANGED)
+        store.woken = int(np.count_nonzero(~quiet))
+        self._awake[:] = np.flatnonzero(~quiet)
         self._around[:, quiet] = 0
+
+    @property
+    def _awake(self) -> NDArray[np.int32]:
+        """Pixels that are not quiet (see `increments_rest`)."""
+        return self._store.awake[:self._store.woken]
 
     @property
     def _lit(self) -> bool:
@@ -231,10 +230,10 @@ class KalmanFilter(Reconstructor):
         self._forget_gains(old, moved)
         self._saturated.retune(self._model, self._ratio_sigma, self._thresholds)
         self._numbers = self._model.numbers
-        if self._stop:
+        if self._store.stop:
             _kernels.increments_weigh(
-                self._store, self._stop, self._first_us or 0, self._pixels,
-                self._numbers)
+                self._store.events, self._store.stop, self._store.first_us or 0,
+                self._store.pixels, self._numbers)
         self._changed()
         # Frames that wait still have the old stamps.
         frames = self._frames[:self._passed] if moved else self._frames
@@ -276,13 +275,8 @@ class KalmanFilter(Reconstructor):
         events = timed_events(events)
         if not len(events):
             return
-        if self._first_us is None:
-            self._first_us = int(events["t"][0])
-        self._make_room(len(events))
-        taken, self._woken = _kernels.increments_push(
-            events, self._clock.last_us, self._first_us or 0, self._stop, self._store,
-            self._pixels, self._numbers, self._due, self._awake, self._woken)
-        self._stop += taken
+        taken = self._store.push(
+            events, self._clock.last_us, self._numbers, self._keep_us)
         self._scratch = None
         self._saturated.add_events(events[:taken], self.workers)
         try:
@@ -290,34 +284,21 @@ class KalmanFilter(Reconstructor):
         finally:
             self._settle(self._clock.last_us)
 
-    def _make_room(self, n: int) -> None:
-        if self._stop + n <= len(self._store):
-            return
-        drop = 0
-        if self._committed:
-            last = int(self._store["t"][self._committed - 1])
-            keep = last - _REACH_US - (_LATE_US if self._mode == "causal" else 0)
-            if self._frames:
-                first = self._frames[0]
-                oldest = first.begin_us - _REACH_US
-                keep = max(min(keep, oldest), last - 2 * _LATE_US)
-                if keep > oldest and first.known_us is not None:
-                    _kernels.increments_close(
-                        self._pixels, self._store, first.arrays, self.lookahead_us,
-                        oldest, self._numbers, self._lamp.waves,
-                        self._awake[:self._woken])
-                    self._changed()
-            drop = int(np.searchsorted(
-                self._store["t"][:self._committed], keep, "left"))
-        old = self._store[drop:self._stop]
-        room = max(len(self._store), 2 * (len(old) + n))
-        store = np.empty(room, EVENT_DTYPE) if room > len(self._store) else self._store
-        as_bytes(store[:len(old)])[:] = as_bytes(old).copy()
-        self._store = store
-        self._stop -= drop
-        self._committed -= drop
-        if drop:
-            _kernels.increments_drop(self._store, self._stop, drop, self._pixels)
+    def _keep_us(self) -> int:
+        """Return from when on committed events are kept."""
+        store = self._store
+        last = int(store.events["t"][store.committed - 1])
+        keep = last - _REACH_US - (_LATE_US if self._mode == "causal" else 0)
+        if self._frames:
+            first = self._frames[0]
+            oldest = first.begin_us - _REACH_US
+            keep = max(min(keep, oldest), last - 2 * _LATE_US)
+            if keep > oldest and first.known_us is not None:
+                _kernels.increments_close(
+                    store.pixels, store.events, first.arrays, self.lookahead_us,
+                    oldest, self._numbers, self._lamp.waves, self._awake)
+                self._changed()
+        return keep
 
     def add_frame(self, frame: ApsFrame) -> None:
         """Take a frame, which counts once the events of its exposure are there.
@@ -337,7 +318,7 @@ class KalmanFilter(Reconstructor):
         """Take the lamp's flicker in a block (see `Reconstructor.add_wave`)."""
         self._lamp.add(wave)
         self._scratch = None
-        if self._lamp.waves.size and self._woken < len(self._awake):
+        if self._lamp.waves.size and len(self._awake) < len(self._store.awake):
             self._changed()
 
     def settle(self, t_us: int) -> None:
@@ -351,11 +332,9 @@ class KalmanFilter(Reconstructor):
         until = max(seen_us - self.lookahead_us, NEVER)
         while self._next_passes(seen_us):
             self._pass_next()
-        before = self._committed
-        self._committed, self._woken = _kernels.increments_commit(
-            self._store, before, self._stop, until, self._pixels, self._due,
-            self._awake, self._woken)
-        if self._committed != before:
+        before = self._store.committed
+        self._store.commit(until)
+        if self._store.committed != before:
             self._scratch = None
         self._lamp.forget(until - MEMORY_US)
 
@@ -389,7 +368,7 @@ class KalmanFilter(Reconstructor):
         middles = np.empty(self.shape, np.float32)
         before = frame if old is None else old
         self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_pass(
-            before.arrays, frame.arrays, self._due, self._numbers, self._anchors,
+            before.arrays, frame.arrays, self._store.due, self._numbers, self._anchors,
             middles, (first, last)))
         self._lasting.add_frame(middles)
         self._frames = self._frames[self._passed:]
@@ -400,15 +379,15 @@ class KalmanFilter(Reconstructor):
 
     def _rest(self, known: int) -> None:
         """Let pixels be quiet that have been still since before the last frame."""
-        rested = np.empty(self._woken, np.int32)
-        n, self._woken = _kernels.increments_rest(
-            self._store, known, self._frames[0].begin_us - _REACH_US, self._pixels,
-            self._anchors, self._numbers, self._due, self._awake, self._woken, rested)
+        store, rested = self._store, np.empty(self._store.woken, np.int32)
+        n, store.woken = _kernels.increments_rest(
+            store.events, known, self._frames[0].begin_us - _REACH_US, store.pixels,
+            self._anchors, self._numbers, store.due, store.awake, store.woken, rested)
         for frame in self._frames:
             if frame.known_us is not None:
                 self._evaluate(frame, rested[:n])
         self._around.reshape(3, -1)[:, rested[:n]] = 0
-        self._awake[:self._woken].sort()    # neighbours are near in memory
+        self._awake.sort()    # neighbours are near in memory
 
     def _look(self, frame: Waiting, until_us: int) -> None:
         """Evaluate the exposure of a frame by the events before a time of the stream.
@@ -426,7 +405,7 @@ class KalmanFilter(Reconstructor):
         elif frame.around is None:
             frame.around = np.zeros((3, *self.shape))
         frame.lit = frame.lit or bool(self._lamp.waves.size)
-        self._evaluate(frame, self._awake[:self._woken], (before_us is not None, same))
+        self._evaluate(frame, self._awake, (before_us is not None, same))
         self._back, self._fresh = None, False
 
     def _evaluate(self, frame: Waiting, pixels: NDArray[np.int32],
@@ -434,7 +413,7 @@ class KalmanFilter(Reconstructor):
         assert frame.known_us is not None
         known = frame.known_us - 1
         self.workers.rows(len(pixels), lambda *rows: _kernels.increments_node(
-            self._pixels, self._store, frame.arrays, known,
+            self._store.pixels, self._store.events, frame.arrays, known,
             min(known - frame.mid_us, self.lookahead_us), self._numbers,
             self._lamp.waves, again, pixels, rows), row_ns=_PIXEL_NS)
 
@@ -444,7 +423,7 @@ class KalmanFilter(Reconstructor):
             new.sample[2] = 0
             return
         _kernels.increments_differ(
-            new.around, old.around, self._anchors, self._awake[:self._woken],
+            new.around, old.around, self._anchors, self._awake,
             self._around, new.sample[2])
 
     # ---- reading -----------------------------------------------------------------
@@ -484,16 +463,16 @@ class KalmanFilter(Reconstructor):
 
     def _at(self, t: int, seen: int) -> KalmanFilter:
         """Return this filter, or a copy that has used what a later read may not use."""
-        if not self._next_passes(seen) and (self._committed == self._stop or int(
-                self._store["t"][self._committed]) > t):
+        waiting_us = self._store.waiting_us
+        if not self._next_passes(seen) and (waiting_us is None or waiting_us > t):
             return self
-        if self._scratch is None or self._scratch[:2] != (self._stop, seen):
+        if self._scratch is None or self._scratch[:2] != (self._store.stop, seen):
             one = copy.copy(self)
             one._begin()
             one._restore({**self._state(), "saturated": None})
             one.workers = self.workers
             one._settle(seen)
-            self._scratch = self._stop, seen, one
+            self._scratch = self._store.stop, seen, one
         return self._scratch[2]
 
     def _show(
@@ -518,10 +497,10 @@ class KalmanFilter(Reconstructor):
         around = self._around if self._model.looks_around else None
         if around is not None and self._courses is None:
             self._courses = np.empty(self.shape, COURSE_DTYPE)
-        awake = self._awake[:self._woken]
+        store, awake = self._store, self._awake
         self.workers.rows(len(awake), lambda first, last: _kernels.increments_move(
-            self._pixels, self._store, self._sight, (t, seen, fresh), self._lamp.waves,
-            self._numbers, awake, self._due, self._shown, self._courses, self._planes,
+            store.pixels, store.events, self._sight, (t, seen, fresh), self._lamp.waves,
+            self._numbers, awake, store.due, self._shown, self._courses, self._planes,
             around, (first, last)), row_ns=_PIXEL_NS)
         if fresh:
             self._unknown = np.flatnonzero(self._planes[2] == _UNKNOWN)
@@ -548,7 +527,7 @@ class KalmanFilter(Reconstructor):
         back = np.empty((2, *self.shape), np.float32)
         arrays = [frame.arrays for frame in later]
         self.workers.rows(self.shape[0], lambda first, last: _kernels.increments_back(
-            arrays, self._due, self._numbers, self._anchors, back, (first, last)))
+            arrays, self._store.due, self._numbers, self._anchors, back, (first, last)))
         self._back, self._backs, self._fresh = back, len(later), False
 
     # ---- states ------------------------------------------------------------------
@@ -560,12 +539,9 @@ class KalmanFilter(Reconstructor):
         self._restore(other._state())
 
     def _state(self) -> State:
-        return {"last_us": self._clock.last_us, "first_us": self._first_us,
+        return {"last_us": self._clock.last_us, "store": self._store.state(),
                 "model": self._given, "theta": self._theta,
                 "ratio_sigma": self._ratio_sigma,
-                "store": as_bytes(self._store[:self._stop]).copy(),
-                "committed": self._committed,
-                "pixels": as_bytes(self._pixels).copy(),
                 "anchors": as_bytes(self._anchors).copy(),
                 "lamp": self._lamp.state(),
                 "frames": [frame.copy() for frame in self._frames],
@@ -573,16 +549,11 @@ class KalmanFilter(Reconstructor):
                 "saturated": self._saturated.state()}
 
     def _restore(self, state: State) -> None:
-        self._clock.last_us, self._first_us = state["last_us"], state["first_us"]
+        self._clock.last_us = state["last_us"]
         self._given, self._theta = state["model"], state["theta"]
         self._ratio_sigma = state["ratio_sigma"]
         self._numbers = self._model.numbers
-        n = state["store"].size // EVENT_DTYPE.itemsize
-        if n > len(self._store):
-            self._store = np.empty(2 * n, EVENT_DTYPE)
-        as_bytes(self._store)[:state["store"].size] = state["store"]
-        self._stop, self._committed = n, state["committed"]
-        as_bytes(self._pixels)[:] = state["pixels"]
+        self._store.restore(state["store"])
         as_bytes(self._anchors)[:] = state["anchors"]
         self._frames = tuple(frame.copy() for frame in state["frames"])
         self._passed = state["passed"]
