@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.events import EVENT_DTYPE, FAR
+from pdavis_cv.recording.base import joined
 from pdavis_cv.recording.scratch import Scratch, copy_rows
 
 __all__ = ["LOOK_AHEAD", "NEVER", "SEGMENT_US", "Clock", "Marks", "SegmentError",
@@ -174,7 +175,7 @@ class Clock:
             Whether none follow.
         """
         if self._held is not None:
-            samples = np.concatenate((self._held, samples))
+            samples = joined((self._held, samples))
         self.state[OUTSIDE:BEFORE] = 0, 0, -1
         times, n = samples["t"], len(samples)
         if n and not self.state[OFFSET] and (   # as usual
