@@ -12,12 +12,79 @@ import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
-__all__ = ["Unfinished", "clear", "takes_bytes", "write_beside"]
+try:
+    import fcntl
+except ImportError:     # Windows
+    fcntl = None  # type: ignore[assignment]
+
+__all__ = ["Place", "Unfinished", "clear", "sole", "takes_bytes", "write_beside"]
+
+
+class Place:
+    """The place of an output: a file, or a pipe or device that takes its bytes.
+
+    A symbolic link is followed: the file that it names is replaced, the link stays.
+    What is neither a file, a pipe nor a character device is not written to: a disk or
+    socket would be replaced by a file.
+
+    Parameters
+    ----------
+    path : path
+
+    Attributes
+    ----------
+    path : Path
+        As given.
+    takes_bytes : bool
+        Whether it is a pipe or device.
+    beside : Path
+        Path of the output in a folder for temporary files: the file's own folder, or
+        for a pipe or device a new one, as nothing can be renamed to it.
+
+    Raises
+    ------
+    OSError
+        If it is a folder, a block device or a socket, or cannot be examined.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self.takes_bytes = takes_bytes(self.path)
+        if self.takes_bytes:
+            self.beside = Path(tempfile.mkdtemp(prefix="pdavis-")) / self.path.name
+        else:
+            self.beside = Path(os.path.realpath(self.path)) if (
+                self.path.is_symlink()) else self.path
+
+    def put(self, part: Path) -> None:
+        """Rename a complete file in the folder of `beside` to the output, or copy it.
+
+        Raises
+        ------
+        OSError
+            If this fails; `part` remains.
+        """
+        if not self.takes_bytes:
+            if part.is_file():      # its bytes, before its name
+                with part.open("rb") as file:
+                    os.fsync(file.fileno())
+            os.replace(part, self.beside)
+            return
+        # Not truncated: a shell may append a command's output to it.
+        out = os.open(self.path, os.O_WRONLY | os.O_APPEND)
+        with open(out, "wb") as target, part.open("rb") as source:
+            shutil.copyfileobj(source, target)
+
+    def close(self) -> None:
+        """Remove the folder that was made for temporary files."""
+        if self.takes_bytes:
+            shutil.rmtree(self.beside.parent, ignore_errors=True)
 
 
 def takes_bytes(path: Path) -> bool:
-    """Return whether a path is a pipe or device, to which bytes are written.
+    """Return whether bytes are written to a path, not a file renamed to it.
 
     Parameters
     ----------
@@ -26,8 +93,7 @@ def takes_bytes(path: Path) -> bool:
     Raises
     ------
     OSError
-        If it is a folder, a block device or a socket, or cannot be examined: a file
-        would replace a disk or socket.
+        As for `Place`.
     """
     try:
         mode = path.stat().st_mode
@@ -46,42 +112,54 @@ def takes_bytes(path: Path) -> bool:
         folder == "/dev" and path.name in ("stdout", "stderr"))
 
 
+def sole(file: BinaryIO, path: Path) -> None:
+    """Lock an open file, so that no other process writes the same output.
+
+    Parameters
+    ----------
+    file : binary file
+        The lock ends when it is closed.
+    path : Path
+        The output.
+
+    Raises
+    ------
+    OSError
+        If another process holds the lock.  Never on Windows or on a file system
+        without such locks.
+    """
+    if fcntl is None:
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise OSError(errno.EBUSY, "another process is writing it", str(path)) from None
+    except OSError:
+        return      # the file system has no locks
+
+
 class Unfinished:
     """A file that is written under a temporary name and then renamed.
-
-    A symbolic link is followed: the file that it names is replaced, the link stays.  A
-    pipe or device, to which nothing can be renamed, takes the bytes of the whole file.
 
     Parameters
     ----------
     path : path
-        Final name.  A file that is there stays as it is until `finish`.
+        Final name; see `Place`.  A file that is there stays as it is until `finish`.
     suffix : str, optional
         Suffix of the name to write to, for a writer that needs it; default: `path`'s.
 
     Attributes
     ----------
     part : Path
-        Name to write to, in the file's folder, or for a pipe or device in a new one;
-        nobody can guess it, so no link is there.
-
-    Raises
-    ------
-    OSError
-        As for `takes_bytes`.
+        Name to write to, in the same folder; nobody can guess it, so no link is there.
     """
 
     def __init__(
         self, path: str | os.PathLike[str], suffix: str | None = None
     ) -> None:
         self.path = Path(path)
-        self._takes_bytes = takes_bytes(self.path)
-        if self._takes_bytes:
-            beside = Path(tempfile.mkdtemp(prefix="pdavis-")) / self.path.name
-        else:
-            beside = Path(os.path.realpath(self.path)) if (
-                self.path.is_symlink()) else self.path
-        self._target = beside
+        self._place = Place(path)
+        beside = self._place.beside
         suffix = self.path.suffix if suffix is None else suffix
         self.part = beside.with_name(
             f".{beside.stem}.part{os.getpid()}-{secrets.token_hex(8)}{suffix}")
@@ -103,23 +181,14 @@ class Unfinished:
 
     def finish(self, whole: Path | None = None) -> None:
         """Give the file, or one in the folder that was made in its place, its name."""
-        whole = whole or self.part
         with self.named():
-            if not self._takes_bytes:
-                if whole.is_file():     # its bytes, before its name
-                    with whole.open("rb") as file:
-                        os.fsync(file.fileno())
-                os.replace(whole, self._target)
-                return
-            # Not truncated: a shell may append a command's output to it.
-            out = os.open(self.path, os.O_WRONLY | os.O_APPEND)
-            with open(out, "wb") as target, whole.open("rb") as source:
-                shutil.copyfileobj(source, target)
-        self.discard()
+            self._place.put(whole or self.part)
+        self._place.close()
 
     def discard(self) -> None:
         """Remove what was written, if it has not been renamed."""
-        _remove(self.part.parent if self._takes_bytes else self.part)
+        _remove(self.part)
+        self._place.close()
 
 
 def clear(path: str | os.PathLike[str]) -> None:
@@ -181,7 +250,7 @@ def write_beside(
     Parameters
     ----------
     path : path
-        Final name; see `Unfinished`.  An existing file is replaced at the end.
+        Final name; see `Place`.  An existing file is replaced at the end.
     suffix : str, optional
         Suffix of the name to write to, for a writer that needs it; default: `path`'s.
 

@@ -460,6 +460,12 @@ def test_export_writes_stacks(tmp_path, name, capsys):
     np.testing.assert_array_equal(got, want)
 
 
+def test_export_refuses_to_resume_a_video(tmp_path, capsys):
+    assert export.main([str(example_recording()), "-o", str(tmp_path / "a.webm"),
+                        "--resume"]) == 2
+    assert "--resume continues .tif, .h5, .npz" in capsys.readouterr().err
+
+
 def test_the_scenes_of_these_tests_give_no_warning(pulled):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

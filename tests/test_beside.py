@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pdavis_cv import Aedat4Writer, Packet, PolarFrame, as_events
-from pdavis_cv._beside import Unfinished, write_beside
+from pdavis_cv._beside import Unfinished, sole, write_beside
 from pdavis_cv.export import NpzFile
 from pdavis_cv.export.stacks import StackFile
 from pdavis_cv.recording.base import RecordingInfo
@@ -97,7 +97,7 @@ def by_writer(path):
 
 
 def by_stack(path):
-    with NpzFile(path, ("s0",)) as stack:
+    with NpzFile(path, ("s0",), resume=True) as stack:
         stack.add(PolarFrame(np.ones((4, 4, 6)), t_us=5))
 
 
@@ -196,8 +196,34 @@ def test_a_command_does_not_replace_a_device(tmp_path, capsys):
 
 
 @POSIX
-def test_an_interrupt_at_any_line_of_opening_a_stack_leaves_nothing(tmp_path):
+def test_two_programs_do_not_write_the_same_stack_at_once(tmp_path):
     path = tmp_path / "x.npz"
+    with NpzFile(path, ("s0",)) as stack:
+        stack.add(PolarFrame(np.ones((4, 4, 6)), t_us=5))
+        for resume in (False, True):
+            with pytest.raises(OSError, match="another process is writing it"):
+                NpzFile(path, ("s0",), resume=resume)
+        stack.add(PolarFrame(np.ones((4, 4, 6)), t_us=6))
+    with np.load(path) as whole:
+        assert len(whole["t_us"]) == 2
+    by_stack(path)
+
+
+@POSIX
+@pytest.mark.parametrize("resume", [False, True])
+def test_an_interrupt_at_any_line_of_opening_a_stack(tmp_path, resume):
+    """Nothing is left, or with `resume` all images of the earlier run."""
+    path = tmp_path / "x.npz"
+
+    def begin():
+        with NpzFile(path, ("s0",), resume=True) as stack:
+            for t_us in (5, 6):
+                stack.add(PolarFrame(np.ones((4, 4, 6)), t_us=t_us))
+            raise KeyboardInterrupt
+
+    if resume:
+        with pytest.raises(KeyboardInterrupt):
+            begin()
     lines = 0
 
     def interrupt(frame, event, _):
@@ -209,24 +235,26 @@ def test_an_interrupt_at_any_line_of_opening_a_stack_leaves_nothing(tmp_path):
         return interrupt
 
     def called(frame, *_):
-        return interrupt if frame.f_code is StackFile.__init__.__code__ else None
+        ours = frame.f_code in (StackFile.__init__.__code__, sole.__code__,
+                                StackFile._continue.__code__)
+        return interrupt if ours else None
 
     while True:
         lines += 1
         countdown = lines
         sys.settrace(called)
         try:
-            stack = NpzFile(path, ("s0",))
+            stack = NpzFile(path, ("s0",), resume=resume)
         except KeyboardInterrupt:
             sys.settrace(None)
-            assert not list(tmp_path.iterdir())
+            assert resume or not list(tmp_path.iterdir())
             continue
         finally:
             sys.settrace(None)
         break
-    assert lines > 15     # the constructor was interrupted that many times
-    with pytest.raises(KeyboardInterrupt), stack:
-        raise KeyboardInterrupt
+    assert lines > 20     # the constructor was interrupted that many times
+    assert stack.count == 2 * resume
+    stack.discard()
     assert not list(tmp_path.iterdir())
 
 

@@ -1,6 +1,7 @@
 """Stacks that other programs open: OME-TIFF, HDF5, NPZ; interrupted and continued."""
 import hashlib
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -40,7 +41,7 @@ def expected(name, count):
 
 def write(kind, path, count=5, **options):
     with kind(path, NAMES, FACTS, **options) as file:
-        for frame in images(count):
+        for frame in list(images(count))[file.count:]:
             file.add(frame)
     return file
 
@@ -189,6 +190,66 @@ def test_an_error_leaves_nothing(tmp_path, kind, name):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(("kind", "name"), KINDS)
+def test_an_interrupted_stack_continues_to_the_same_numbers(tmp_path, kind, name):
+    stop, whole = tmp_path / name, tmp_path / f"whole-{name}"
+    write(kind, whole, 6)
+
+    def begin():
+        with kind(stop, NAMES, FACTS, resume=True) as file:
+            for frame in list(images(6))[:4]:
+                file.add(frame)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        begin()
+    assert not stop.exists()
+    # What was killed inside an image is dropped to the last whole one.
+    part = tmp_path / f".{name}.unfinished"
+    os.truncate(part, part.stat().st_size - 100)
+    with kind(stop, NAMES, FACTS, resume=True) as file:
+        assert file.count == 3
+        for frame in list(images(6))[3:]:
+            file.add(frame)
+    beside = [f"{name}.json", f"whole-{name}.json"] if kind is NpyFile else []
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(
+        [name, f"whole-{name}", *beside])
+    a, b = _numbers(stop), _numbers(whole)
+    assert a.keys() == b.keys()
+    for key in a:
+        np.testing.assert_array_equal(a[key], b[key])
+
+
+def _numbers(path):
+    if path.suffix == ".npy":
+        return {"all": np.load(path)}
+    if path.suffix == ".npz":
+        with np.load(path) as file:
+            return {key: file[key] for key in file.files}
+    if path.suffix == ".h5":
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(path) as file:
+            return {key: file[key][:] for key in file}
+    if path.suffix == ".zarr":
+        group = pytest.importorskip("zarr").open_group(path, mode="r")
+        return {key: array[:] for key, array in group.arrays()}
+    return {"all": pytest.importorskip("tifffile").imread(path)}
+
+
+def test_other_facts_start_again(tmp_path):
+    def begin():
+        with NpzFile(tmp_path / "a.npz", NAMES, FACTS, resume=True) as file:
+            file.add(next(images(1)))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        begin()
+    with NpzFile(tmp_path / "a.npz", NAMES, {"method": "frames"}, resume=True) as file:
+        assert file.count == 0
+        for frame in images(2):
+            file.add(frame)
+
+
 FULL = """
 import resource, sys
 import numpy as np
@@ -260,12 +321,18 @@ def test_provenance_names_the_input_and_shortens_maps(tmp_path):
     assert json.loads(json.dumps(facts, allow_nan=False))["wrong"] == "nan"
 
 
-def test_a_killed_export_leaves_nothing(tmp_path):
+def test_a_killed_export_leaves_no_file_under_its_name(tmp_path):
     code = ("import sys, numpy as np; from pdavis_cv import PolarFrame, export\n"
-            "f = export.OmeTiffFile(sys.argv[1])\n"
+            "f = export.OmeTiffFile(sys.argv[1], resume=True)\n"
             "for k in range(3): f.add(PolarFrame(np.ones((4, 64, 64)), t_us=k))\n"
             "import os, signal; os.kill(os.getpid(), signal.SIGKILL)")
-    path = str(tmp_path / "a.ome.tif")
-    done = subprocess.run([sys.executable, "-P", "-c", code, path], check=False)
+    path = tmp_path / "a.ome.tif"
+    done = subprocess.run([sys.executable, "-P", "-c", code, str(path)], check=False)
     assert done.returncode == -signal.SIGKILL
-    assert not list(tmp_path.iterdir())
+    assert not path.exists()
+    with OmeTiffFile(path, resume=True) as file:
+        before = file.count  # what the system had not yet been given is lost
+        assert 0 <= before <= 3
+        for k in range(before, 5):
+            file.add(PolarFrame(np.ones((4, 64, 64)), t_us=k))
+    assert [p.name for p in tmp_path.iterdir()] == ["a.ome.tif"]

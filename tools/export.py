@@ -4,8 +4,9 @@ The suffix of OUT determines the output: .webm (browsers play it), .mp4 (H.264, 
 slide programs play, where PyAV has an encoder, else VP9), .mkv and .avi a colour video;
 .webp and .gif the same for slides; .png pictures and .pdf or .svg figures for print,
 numbered if there are several; .ome.tif, .ome.zarr, .h5, .npz and .npy float stacks (AoP
-in radians) with names, units, times and provenance, of .npy in a .json file next to it;
-.mcap and .db3 ROS 2 bags with the quantities as 32FC1 images and a colour picture.
+in radians) with names, units, times and provenance, of .npy in a .json file next to it,
+which --resume can continue; .mcap and .db3 ROS 2 bags with the quantities as 32FC1
+images and a colour picture.
 """
 from __future__ import annotations
 
@@ -67,6 +68,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError(f"-o must end in {', '.join(known)}, got {args.out}")
     if figure(args) and find_spec("matplotlib") is None:
         raise UsageError("a figure needs matplotlib: pip install matplotlib")
+    if args.resume and suffix not in _STACKS:
+        raise UsageError(f"--resume continues {', '.join(_STACKS)}, got {args.out}")
     if _ranges(args) and suffix in _STACKS:
         raise UsageError(
             f"--range is for pictures; {suffix} holds the numbers themselves")
@@ -158,6 +161,9 @@ def _parser() -> argparse.ArgumentParser:
         "--pixel-um", type=positive, metavar="UM",
         help="size of a pixel in the object: pictures get a scale bar, stacks "
              "store it")
+    parser.add_argument(
+        "--resume", action="store_true",
+        help="keep the stack if interrupted, and continue an interrupted one")
     look = parser.add_argument_group("pictures")
     look.add_argument(
         "--slow", type=positive, default=1.0, metavar="FACTOR",
@@ -458,14 +464,18 @@ def _write_stack(
     facts = export.provenance(first.provenance, recording, units=export.units(
         args.quantities, recording))
     kind = _STACKS[args.out.suffix.lower()]
-    with kind(args.out, args.quantities, facts, pixel_um=args.pixel_um) as file:
-        for frame in frames:
+    with kind(args.out, args.quantities, facts, pixel_um=args.pixel_um,
+              resume=args.resume) as file:
+        done = file.count
+        for frame in itertools.islice(frames, done, None):
             file.add(frame)
     height, width = first.shape
+    continued = f", {done} of them from before" if done else ""
     line = (f"wrote {args.out}: float32, {file.count} x {len(file.quantities)} x "
-            f"{height} x {width} ({', '.join(file.quantities)})")
+            f"{height} x {width} ({', '.join(file.quantities)}){continued}")
     return [line], {"wrote": [args.out], "images": file.count,
-                    "shape": [file.count, len(file.quantities), height, width]}
+                    "shape": [file.count, len(file.quantities), height, width],
+                    "continued": done}
 
 
 if __name__ == "__main__":

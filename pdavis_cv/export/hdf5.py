@@ -33,7 +33,7 @@ class Hdf5File(StackFile):
         h5py_module()       # if it is missing, before anything is computed
         super().__init__(*arguments, **options)
 
-    def _complete(self, part: Path, stack: NDArray[np.float32]) -> None:
+    def _finish(self, part: Path, stack: NDArray[np.float32]) -> None:
         height, width = stack.shape[2:]
         with written(part) as file:
             file.attrs["provenance"] = to_json(self.facts)

@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +19,17 @@ class NpyFile(StackFile):
     the path's with ``.json`` added.
     """
 
-    def _complete(self, part: Path, stack: NDArray[np.float32]) -> None:
+    def _finish(self, part: Path, stack: NDArray[np.float32]) -> None:
         with part.open("wb") as file:
             np.lib.format.write_array_header_2_0(file, {
                 "descr": "<f4", "fortran_order": False, "shape": stack.shape})
             for image in stack:     # numpy.save does not notice a full disk
                 file.write(image.data)
 
-    def __exit__(self, kind: Any, error: Any, traceback: Any) -> None:
-        super().__exit__(kind, error, traceback)
-        if error is None:
-            write_json(self.path.with_name(self.path.name + ".json"), {
-                "provenance": self.facts, "axes": "T, quantity, row, column",
-                "quantities": self.quantities, "units": [*self.units.values()],
-                "invalid": "NaN", "t_us": self.times_us})
+    def close(self) -> None:
+        """Complete the file and give it its name; then write the other one."""
+        super().close()
+        write_json(self.path.with_name(self.path.name + ".json"), {
+            "provenance": self.facts, "axes": "T, quantity, row, column",
+            "quantities": self.quantities, "units": [*self.units.values()],
+            "invalid": "NaN", "t_us": self.times_us})

@@ -19,7 +19,7 @@ class NpzFile(StackFile):
     The provenance is JSON, a string of shape ().
     """
 
-    def _complete(self, part: Path, stack: NDArray[np.float32]) -> None:
+    def _finish(self, part: Path, stack: NDArray[np.float32]) -> None:
         with zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
             for c, name in enumerate(self.quantities):
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:

@@ -39,7 +39,7 @@ class OmeTiffFile(StackFile):
         self._tifffile = tifffile()
         super().__init__(*arguments, **options)
 
-    def _complete(self, part: Path, stack: NDArray[np.float32]) -> None:
+    def _finish(self, part: Path, stack: NDArray[np.float32]) -> None:
         count, channels = stack.shape[:2]
         with self._tifffile.TiffWriter(
                 part, bigtiff=stack.nbytes > _CLASSIC_END, byteorder="<",

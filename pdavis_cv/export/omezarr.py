@@ -44,7 +44,7 @@ class OmeZarrFile(StackFile):
         self._zarr = zarr
         super().__init__(*arguments, **options)
 
-    def _complete(self, part: Path, stack: NDArray[np.float32]) -> None:
+    def _finish(self, part: Path, stack: NDArray[np.float32]) -> None:
         steps = [1]
         while max(stack.shape[2:]) > _SMALLEST * steps[-1]:
             steps.append(2 * steps[-1])

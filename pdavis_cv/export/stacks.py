@@ -1,31 +1,34 @@
-"""Stacks of planes that are written image by image."""
+"""Stacks of planes that are written image by image and can be resumed."""
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
-import sys
-from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryFile
-from typing import Any
+from types import TracebackType
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv._beside import write_beside
-from pdavis_cv.export.files import SeriesFile
+from pdavis_cv._beside import Place, sole, write_beside
+from pdavis_cv.export.embedded import to_json
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import chosen
 
 __all__ = ["StackFile"]
 
 
-class StackFile(SeriesFile):
+
+class StackFile(ABC):
     """Write float32 planes, one per quantity and time; NaN = not valid.
 
-    Until the file is complete, its data are in a temporary file without a name in the
-    same folder.
+    Until the file is complete, its data are in ``.NAME.unfinished`` next to it.  If the
+    block ends with an error they are removed, unless ``resume`` is set: then a later
+    StackFile with ``resume`` and the same facts continues, and its `count` is the
+    number of images that it already has.
 
     Parameters
     ----------
@@ -38,6 +41,8 @@ class StackFile(SeriesFile):
         those of the quantities, for intensities without an exposure.
     pixel_um : float, optional
         Size of a pixel in the object, micrometres.
+    resume : bool
+        Keep the data if interrupted, and continue from those of an earlier run.
 
     Attributes
     ----------
@@ -58,6 +63,7 @@ class StackFile(SeriesFile):
         self, path: str | os.PathLike[str],
         quantities: Sequence[str] = ("quad", "s0", "aop", "dolp"),
         facts: Mapping[str, Any] | None = None, *, pixel_um: float | None = None,
+        resume: bool = False,
     ) -> None:
         self.path = Path(path)
         self._chosen = chosen(quantities)
@@ -70,19 +76,71 @@ class StackFile(SeriesFile):
         self.facts = {**(facts or {}), "units": self.units}
         self.times_us: list[int] = []
         self.shape: tuple[int, int] | None = None
-        self._stack = contextlib.ExitStack()
+        self._closed = False
+        self._place = Place(self.path)
+        self.resume = resume and not self._place.takes_bytes
+        beside = self._place.beside
+        self.unfinished = beside.with_name(f".{beside.name}.unfinished")
+        self._log_path = beside.with_name(f".{beside.name}.unfinished.log")
+        self._identity = hashlib.sha256(to_json(
+            {**self.facts, "kind": type(self).__name__}).encode()).digest()
         try:
-            self._part = self._stack.enter_context(write_beside(self.path))
-            folder = self._part.parent
-            self._data: Any = self._stack.enter_context(TemporaryFile(dir=folder))
+            self._log: BinaryIO = self._log_path.open("ab", buffering=0)
+            sole(self._log, self.path)
+            if not (self.resume and self._continue()):
+                self._data: BinaryIO = self.unfinished.open("wb")
+                self._log.truncate(0)
+                self._log.write(self._identity)
         except BaseException:   # an interrupt may come at any of these lines
-            self._stack.__exit__(*sys.exc_info())
+            self._release()
+            if not self.resume and self._sole():
+                self.discard()
             raise
+
+    def _sole(self) -> bool:
+        """Return whether no other process writes the same output."""
+        try:
+            with self._log_path.open("ab") as log:
+                sole(log, self.path)
+        except OSError:
+            return False
+        return True
 
     @property
     def count(self) -> int:
         """Number of images so far."""
         return len(self.times_us)
+
+    def _continue(self) -> bool:
+        """Continue from the complete images of an earlier run with the same identity.
+
+        The log holds the identity, height, width, and a time per image.  It is written
+        after each image, so it never lists an incomplete one.
+        """
+        try:
+            log = self._log_path.read_bytes()
+            size = self.unfinished.stat().st_size
+        except OSError:
+            return False
+        known = np.frombuffer(log[32:32 + (len(log) - 32) // 8 * 8], "<i8")
+        if log[:32] != self._identity or len(known) < 3 or np.any(known[:2] <= 0):
+            return False
+        self.shape = (int(known[0]), int(known[1]))
+        whole = min(len(known) - 2, size // self._image_bytes)
+        if whole < 1:
+            self.shape = None
+            return False
+        self.times_us = [int(t) for t in known[2:2 + whole]]
+        self._data = self.unfinished.open("r+b")
+        self._data.truncate(whole * self._image_bytes)
+        self._data.seek(0, os.SEEK_END)
+        self._log.truncate(32 + 16 + 8 * whole)
+        return True
+
+    @property
+    def _image_bytes(self) -> int:
+        height, width = self.shape or (0, 0)
+        return len(self.quantities) * height * width * 4
 
     def add(self, frame: PolarFrame) -> None:
         """Append an image.
@@ -103,6 +161,7 @@ class StackFile(SeriesFile):
             raise ValueError("frame must have a time")
         if self.shape is None:
             self.shape = frame.shape
+            self._log.write(np.array(self.shape, "<i8").tobytes())
         elif frame.shape != self.shape:
             raise ValueError(
                 f"frame must have the first one's shape {self.shape}, got "
@@ -111,24 +170,86 @@ class StackFile(SeriesFile):
             raise ValueError(
                 f"frame must be later than {self.times_us[-1]} us, got {frame.t_us}")
         bad = None if frame.valid.all() else ~frame.valid
-        for one in self._chosen:
-            values = one.of(frame)
-            if bad is not None and one.dtype == np.float32:
-                values = np.where(bad, np.float32(np.nan), values)
-            self._data.write(np.ascontiguousarray(values, "<f4").data)
+        with self._named():
+            for one in self._chosen:
+                values = one.of(frame)
+                if bad is not None and one.dtype == np.float32:
+                    values = np.where(bad, np.float32(np.nan), values)
+                self._data.write(np.ascontiguousarray(values, "<f4").data)
+            self._log.write(frame.t_us.to_bytes(8, "little", signed=True))
         self.times_us.append(frame.t_us)
 
+    @contextlib.contextmanager
+    def _named(self) -> Iterator[None]:
+        """Add the file's name to errors of the system, which lack it on writing."""
+        try:
+            yield
+        except OSError as error:
+            if error.filename is None and error.strerror:
+                raise OSError(error.errno, error.strerror, str(self.path)) from None
+            raise
+
     @abstractmethod
-    def _complete(self, part: Path, stack: NDArray[np.float32]) -> None:
+    def _finish(self, part: Path, stack: NDArray[np.float32]) -> None:
         """Write the final file from the data, (T, quantity, H, W)."""
 
-    def _finish(self) -> None:
+    def close(self) -> None:
+        """Complete the file and give it its name.
+
+        Raises
+        ------
+        ValueError
+            If there is no image.
+        OSError
+            If it cannot be written.
+        """
+        if self._closed:
+            return
         if not self.times_us:
             raise ValueError(f"{self.path}: no image to write")
-        self._data.flush()
-        self._complete(self._part, np.memmap(self._data, np.dtype("<f4"), "r", shape=(
-            self.count, len(self.quantities), *(self.shape or (0, 0)))))
+        with self._named():
+            self._data.flush()
+        stack = np.memmap(self.unfinished, np.dtype("<f4"), "r", shape=(
+            self.count, len(self.quantities), *(self.shape or (0, 0))))
+        try:
+            with write_beside(self.path) as part:
+                self._finish(part, stack)
+        finally:
+            # Unmap before the file is removed; the array would keep it open.
+            stack._mmap.close()  # type: ignore[attr-defined]
+        self.discard()
 
-    def _abandon(self) -> None:
-        with contextlib.suppress(OSError):  # buffered data do not fit; already reported
-            self._data.close()
+    def discard(self) -> None:
+        """Remove the unfinished file."""
+        self._release()
+        self.unfinished.unlink(missing_ok=True)
+        self._log_path.unlink(missing_ok=True)
+        self._place.close()
+
+    def _release(self) -> None:
+        self._closed = True
+        for name in ("_data", "_log"):
+            file = getattr(self, name, None)
+            if file is not None:
+                try:
+                    file.close()
+                except OSError:  # buffered data do not fit; already reported
+                    continue
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if error is None:
+            try:
+                self.close()
+            except BaseException:
+                self._release() if self.resume else self.discard()
+                raise
+        elif self.resume:
+            self._release()
+        else:
+            self.discard()
