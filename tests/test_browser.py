@@ -6,12 +6,13 @@ import shutil
 
 import numpy as np
 import pytest
+from certificates import Certificates
 
 from pdavis_cv import Layout, serve
 from pdavis_cv.analysis import parse_roi
 from pdavis_cv.data import example_recording
 from pdavis_cv.export import AnimationFile, VideoFile
-from pdavis_cv.live import Session
+from pdavis_cv.live import Session, server_context
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 from pdavis_cv.tools.main import main
@@ -319,6 +320,19 @@ def test_without_its_token_the_page_is_refused(browser, recording, threads_ended
         drawn(page, 1)
     # What a refused client still sends is received for up to a second.
     assert threads_ended(10)
+
+
+def test_the_page_works_over_tls(browser, recording, tmp_path):
+    made = Certificates(tmp_path)
+    context = server_context(made.pem("server"), made.key("server"), None)
+    with serve(recording, host="0.0.0.0", port=0, context=context, **OPTIONS
+               ) as running, browser.new_page(ignore_https_errors=True) as page:
+        page.set_default_timeout(PATIENCE_MS)
+        assert page.goto(
+            f"https://127.0.0.1:{running.port}/?token={running.site.token}").ok
+        drawn(page, 1)
+        page.keyboard.press("ArrowRight")
+        drawn(page, 2)
 
 
 PLAY = """async () => {

@@ -14,6 +14,7 @@ from pathlib import Path
 from ._common import Parser, UsageError, add_json_option, command, start_of, tell_now
 from ._interrupts import ended_by_signals
 from ._options import add_file, add_fuse_options, fusion_given, source_of
+from ._tls import add_tls_options, tls_of
 from ._values import within
 
 __all__ = ["main"]
@@ -26,6 +27,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     from pdavis_cv import Recording, serve
     from pdavis_cv.live import Session
 
+    context = tls_of(args)
     with source_of(args) as source:
         options = fusion_given(args)
         for name in options.keys() & {"start_us", "stop_us"}:
@@ -45,6 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 options = {}
             server = stack.enter_context(serve(
                 shown, host=args.host, port=args.port, record_to=args.record_to,
+                context=context,
                 **options))
             with ended_by_signals():
                 tell_now(args, [server.url], url=server.url)
@@ -64,6 +67,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--port", type=within(0, 65535), default=8346,
         help="default 8346; 0 = any that is free")
+    add_tls_options(
+        parser, "who must have signed a browser's certificate; default: none is asked "
+        "for")
     parser.add_argument(
         "--no-browser", action="store_true", help="print the address and open nothing")
     parser.add_argument(

@@ -19,6 +19,7 @@ __all__ = ["SOURCES", "is_address", "open_source", "options_of"]
 
 SOURCES: Registry[Callable[..., LiveSource]] = Registry("source", {
     "dv+tcp": "pdavis_cv.live.dv:open_tcp",
+    "dv+tls": "pdavis_cv.live.dv:open_tls",
     "replay": "pdavis_cv.live.openers:open_replay",
     "simulate": "pdavis_cv.live.openers:open_simulation",
     "usb": "pdavis_cv.live.usb:open_usb",
@@ -54,10 +55,12 @@ def open_source(
         A Source is returned as it is, and a path goes to `open_recording`.  Addresses
         are ``usb:`` or ``usb:SERIAL`` of a DAVIS346-based camera (``exposure_us=``,
         ``frame_interval_us=`` and its biases), ``dv+tcp://HOST:PORT``
-        (``frames=`` a second port) of what DV sends, ``replay:FILE`` (``speed=1``, 0 =
-        as fast as it is read; ``loop=1``) and ``simulate:SCENE`` (``camera=typical``,
-        ``size=48x48``, ``rpm=200``, ``seed=0``, and those of replay), followed by
-        ``?name=value&...``.  The last two take ``seconds=``, after which they end.
+        (``frames=`` a second port) and ``dv+tls://HOST:PORT`` (also ``certificate=``,
+        ``key=`` and ``authority=``, PEM files, and ``check_name=1``) of what DV sends,
+        ``replay:FILE`` (``speed=1``, 0 = as fast as it is read; ``loop=1``) and
+        ``simulate:SCENE`` (``camera=typical``, ``size=48x48``, ``rpm=200``, ``seed=0``,
+        and those of replay), followed by ``?name=value&...``.  The last two take
+        ``seconds=``, after which they end.
     options : SourceOptions, optional
         Options to begin with; keywords override them.
     {options}

@@ -9,6 +9,7 @@ import contextlib
 import math
 import queue
 import socket
+import ssl
 import struct
 import threading
 import time
@@ -28,6 +29,7 @@ from pdavis_cv.events import FAR
 from pdavis_cv.live.base import HEARTBEAT_S, Address, LiveSource
 from pdavis_cv.live.inbox import MOST_BYTES
 from pdavis_cv.live.replay import pieces
+from pdavis_cv.live.tls import client_context
 from pdavis_cv.recording.aedat4 import samples
 from pdavis_cv.recording.aedat4.container import (
     MAX_HEADER,
@@ -52,7 +54,7 @@ from pdavis_cv.recording.timeline import (
 )
 from pdavis_cv.sensor import Layout, Sensor
 
-__all__ = ["DvSource", "open_tcp"]
+__all__ = ["DvSource", "open_tcp", "open_tls"]
 
 CONNECT_S = 5.0
 MARGIN_US = 100_000
@@ -119,7 +121,7 @@ class _Connection:
                     put((self.streams[number].kind, payload, self.compression))
         except DeviceError as error:
             end = error
-        except OSError as error:
+        except (OSError, ValueError) as error:  # ValueError: TLS, closed meanwhile
             end = DeviceError(f"{self.name}: the connection broke: {error}")
         put(end)
 
@@ -305,20 +307,53 @@ def _sorted(found: NDArray[Any]) -> Events:
 
 def open_tcp(address: Address, *, frames: int = 0) -> DvSource:
     """Open ``dv+tcp://HOST:PORT``; `frames` is a second port."""
+    return _connected(address, frames, lambda link, host: link)
+
+
+def open_tls(
+    address: Address, *, frames: int = 0, certificate: str = "", key: str = "",
+    authority: str = "", check_name: bool = True,
+) -> DvSource:
+    """Open ``dv+tls://HOST:PORT?certificate=PEM&key=PEM&authority=PEM``."""
+    for name, file in (("certificate", certificate), ("key", key),
+                       ("authority", authority)):
+        if not file:
+            raise ValueError(f"{name}=FILE is needed: the sender and this side show "
+                             "each other certificates")
+    context = client_context(certificate, key, authority, check_name)
+    return _connected(address, frames, lambda link, host: context.wrap_socket(
+        link, server_hostname=host))
+
+
+def _connected(
+    address: Address, frames: int,
+    greet: Callable[[socket.socket, str], socket.socket],
+) -> DvSource:
     host, _, port = address.target.removeprefix("//").rstrip("/").rpartition(":")
     if not host or not port.isdecimal():
         raise ValueError("//HOST:PORT is needed after the first colon")
+    host = host.strip("[]")
     ports = [whole_number("port", each, 1, 65535)
              for each in (int(port), *([frames] if frames else []))]
     links: list[socket.socket] = []
     try:
         for number in ports:
-            links.append(socket.create_connection(
-                (host.strip("[]"), number), CONNECT_S))
+            links.append(socket.create_connection((host, number), CONNECT_S))
+            links[-1] = greet(links[-1], host)
         return DvSource(address.text, links)
     except BaseException as error:
         for link in links:
             link.close()
+        if isinstance(error, ssl.SSLError):
+            raise DeviceError(f"{address.text}: no trust: {_refusal(error)}") from error
         if isinstance(error, OSError) and not isinstance(error, DeviceError):
             raise DeviceError(f"{address.text}: cannot be reached: {error}") from error
         raise
+
+
+def _refusal(error: ssl.SSLError) -> str:
+    """Return in one line why one side does not trust the other."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"the sender's certificate: {error.verify_message.rstrip('.')}"
+    reason = (error.reason or str(error)).replace("_", " ").lower()
+    return f"the sender refused this side: {reason}" if "alert" in reason else reason

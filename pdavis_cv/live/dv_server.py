@@ -1,8 +1,10 @@
 """Sender of DV's network protocol: events and frames for DV and dv-processing."""
 from __future__ import annotations
 
+import logging
 import select
 import socket
+import ssl
 import threading
 from collections import deque
 from typing import Self
@@ -15,11 +17,18 @@ from pdavis_cv.recording.aedat4.writer import (
 )
 from pdavis_cv.recording.base import Packet, RecordingInfo
 
-__all__ = ["DvServer"]
+__all__ = ["LOOPBACK", "DvServer"]
+
+_LOG = logging.getLogger(__name__)
+
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+"""Addresses of this machine that no other can reach."""
 
 MOST_BYTES = 64 * 2**20
 """Most bytes that wait for a slow client; beyond, its oldest packets are dropped."""
 MOST_CLIENTS = 8
+GREET_S = 5.0
+"""Longest time that a client may take for the TLS handshake, s."""
 SEND_S = 10.0
 """A client that receives nothing for this long is disconnected, s."""
 
@@ -81,8 +90,6 @@ class _Client:
 class DvServer:
     """Sends packets to all connected clients: events, and frames on a second port.
 
-    Only programs of this machine can connect.
-
     Parameters
     ----------
     info : RecordingInfo
@@ -91,6 +98,11 @@ class DvServer:
         Port, 0 = any that is free; None: not sent.
     compression : {"none", "lz4", "zstd"}
         Compression of packets.
+    host : str
+        Address to listen on.  Any but this machine's own addresses needs `context`.
+    context : ssl.SSLContext, optional
+        Result of `server_context`: connections are encrypted, and clients must show a
+        certificate.
 
     Attributes
     ----------
@@ -103,12 +115,21 @@ class DvServer:
     ------
     OSError
         If a port is in use.
+    ValueError
+        If other machines could connect without a certificate.
     """
 
     def __init__(
         self, info: RecordingInfo, events: int | None = 0,
         frames: int | None = None, *, compression: str = "none",
+        host: str = LOOPBACK[0], context: ssl.SSLContext | None = None,
     ) -> None:
+        if host not in LOOPBACK and (
+                context is None or context.verify_mode != ssl.CERT_REQUIRED):
+            raise ValueError(f"host {host!r} is beyond this machine: clients need a "
+                             "certificate, and so does the server")
+        self._context = context
+        self._greeting = threading.BoundedSemaphore(MOST_CLIENTS)
         self.ports: dict[str, int] = {}
         self._listeners: list[tuple[socket.socket, StreamEncoder]] = []
         self._clients: dict[StreamEncoder, list[_Client]] = {}
@@ -121,7 +142,8 @@ class DvServer:
                     ("events", EVENTS, events), ("frames", FRAMES, frames)):
                 if port is not None:
                     port = whole_number(name, port, 0, 65535)
-                    link = socket.create_server(("127.0.0.1", port))
+                    link = socket.create_server((host, port), family=(
+                        socket.AF_INET6 if ":" in host else socket.AF_INET))
                     encoder = StreamEncoder(stream, info, compression)
                     self._listeners.append((link, encoder))
                     self._clients[encoder] = []
@@ -139,7 +161,30 @@ class DvServer:
             ready, _, _ = select.select(list(links), [], [], 0.1)
             for listener in ready:
                 link, _ = listener.accept()
-                self._take(link, links[listener])
+                if self._context is None:
+                    self._take(link, links[listener])
+                elif self._greeting.acquire(blocking=False):
+                    # A silent client must not keep others waiting.
+                    threading.Thread(
+                        target=self._greet, args=(link, links[listener]),
+                        name="pdavis dv greeting", daemon=True).start()
+                else:
+                    link.close()
+
+    def _greet(self, link: socket.socket, encoder: StreamEncoder) -> None:
+        """Do the TLS handshake and add the client; runs in a thread of its own."""
+        assert self._context is not None
+        try:
+            link.settimeout(GREET_S)
+            try:
+                safe = self._context.wrap_socket(link, server_side=True)
+            except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
+                _LOG.info("a client was refused: %s", error)
+                link.close()
+                return
+            self._take(safe, encoder)
+        finally:
+            self._greeting.release()
 
     def _take(self, link: socket.socket, encoder: StreamEncoder) -> None:
         with self._change:

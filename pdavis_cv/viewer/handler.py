@@ -8,6 +8,7 @@ import io
 import json
 import logging
 import socket
+import ssl
 import struct
 import time
 from collections.abc import Callable, Iterator
@@ -104,7 +105,7 @@ class _Deadline(io.RawIOBase):
         self._connection.settimeout(left if self.waits else 0)
         try:
             return self._connection.recv_into(buffer)
-        except BlockingIOError:
+        except (BlockingIOError, ssl.SSLWantReadError):
             return None
         finally:
             self._connection.settimeout(PATIENCE_S)
@@ -213,9 +214,9 @@ class Handler(BaseHTTPRequestHandler):
             if not hmac.compare_digest(given.encode(), site.token.encode()):
                 raise _Refused(403, "token is wrong or missing")
         origin = self.headers.get("Origin")
-        if origin is not None and origin != f"http://{host}":
-            raise _Refused(
-                403, f"Origin must be http://{host[:80]}, got {origin[:80]!r}")
+        if origin is not None and origin != f"{site.scheme}://{host}":
+            raise _Refused(403, f"Origin must be {site.scheme}://{host[:80]}, got "
+                                f"{origin[:80]!r}")
         # Requests for pictures that another site's page embeds have no Origin.
         foreign = self.headers.get("Sec-Fetch-Site") == "cross-site"
         if foreign and not (self.where == "/" and self.command in ("GET", "HEAD")):

@@ -5,21 +5,21 @@ import contextlib
 import os
 import secrets
 import socket
+import ssl
 import threading
 from http.server import ThreadingHTTPServer
 from typing import Any, Self, Unpack
 
 from pdavis_cv._checks import whole_number
 from pdavis_cv.fusion.options import AllKeywords
-from pdavis_cv.viewer.handler import Handler
+from pdavis_cv.live import LOOPBACK
+from pdavis_cv.viewer.handler import PATIENCE_S, Handler
 from pdavis_cv.viewer.show import Show, show_of
 from pdavis_cv.viewer.site import Site
 
 __all__ = ["PORT", "Server", "serve", "view"]
 
 PORT = 8346
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
-"""Addresses of this machine that no other can reach."""
 MOST_CONNECTIONS = 64
 """Most connections of any kind; of more, those are closed that ask for nothing."""
 
@@ -65,6 +65,17 @@ class _Listener(ThreadingHTTPServer):
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         """Serve a connection in its own thread."""
         try:
+            if self.site.context is not None:
+                try:
+                    request.settimeout(PATIENCE_S)
+                    link = self.site.context.wrap_socket(request, server_side=True)
+                except (OSError, ValueError):   # ssl.SSLError is an OSError
+                    self.shutdown_request(request)
+                    return
+                with self._lock:
+                    if self._open.pop(request, None) is not None:
+                        self._open[link] = False
+                request = link
             super().process_request_thread(request, client_address)
         finally:
             with self._lock:
@@ -88,6 +99,8 @@ class Server:
         0 = any that is free.
     token : str or None
         Token that requests must contain; needed unless `host` is a loopback address.
+    context : ssl.SSLContext or None
+        TLS context for encrypted connections.
 
     Attributes
     ----------
@@ -96,9 +109,10 @@ class Server:
     """
 
     def __init__(
-        self, show: Show, host: str, port: int, token: str | None
+        self, show: Show, host: str, port: int, token: str | None,
+        context: ssl.SSLContext | None = None,
     ) -> None:
-        self.host, self.site = host, Site(show, token)
+        self.host, self.site = host, Site(show, token, context)
         self._listener = _Listener((host, port), self.site)
         self.port = int(self._listener.server_address[1])
         self._thread = threading.Thread(
@@ -111,7 +125,7 @@ class Server:
         """Address of the page, with its token."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         token = self.site.token
-        return f"http://{host}:{self.port}/" + (
+        return f"{self.site.scheme}://{host}:{self.port}/" + (
             "" if token is None else f"?token={token}")
 
     def close(self) -> None:
@@ -140,7 +154,8 @@ class Server:
 
 def serve(
     where: Any, *, host: str = "127.0.0.1", port: int = PORT,
-    record_to: str | os.PathLike[str] = ".", **fuse_parameters: Unpack[AllKeywords],
+    record_to: str | os.PathLike[str] = ".", context: ssl.SSLContext | None = None,
+    **fuse_parameters: Unpack[AllKeywords],
 ) -> Server:
     """Show a recording or a live source in browsers, and stream it as MJPEG.
 
@@ -158,6 +173,8 @@ def serve(
         0 = any that is free.
     record_to : path
         Folder for what the page's button records.
+    context : ssl.SSLContext, optional
+        Of a server, with its certificate: what is sent is encrypted.
     **fuse_parameters
         Options of `fuse`; 60 images per second by default.
 
@@ -184,7 +201,7 @@ def serve(
     token = None if host in LOOPBACK else secrets.token_urlsafe(16)
     show = show_of(where, record_to, dict(fuse_parameters))
     try:
-        return Server(show, host, port, token)
+        return Server(show, host, port, token, context)
     except BaseException:
         show.close()
         raise

@@ -1,6 +1,7 @@
 """What the connections of one server share."""
 from __future__ import annotations
 
+import ssl
 import threading
 
 from pdavis_cv.capture.outputs import output_named
@@ -22,14 +23,23 @@ class Site:
     show : Show
     token : str or None
         Token that requests must contain; None: this machine's own only.
+    context : ssl.SSLContext or None
+        TLS context for encrypted connections.
     """
 
-    def __init__(self, show: Show, token: str | None) -> None:
-        self.show, self.token = show, token
+    def __init__(
+        self, show: Show, token: str | None, context: ssl.SSLContext | None
+    ) -> None:
+        self.show, self.token, self.context = show, token, context
         self.closing = threading.Event()
         self.clients = threading.BoundedSemaphore(MOST_CLIENTS)
         self._jpegs: dict[str, tuple[int, bytes]] = {}
         self._encoding = threading.Lock()
+
+    @property
+    def scheme(self) -> str:
+        """Scheme of the page's address, http or https."""
+        return "http" if self.context is None else "https"
 
     def picture(self, output: str, number: int, image: PolarFrame) -> bytes:
         """Return a picture as JPEG, encoded once for all clients."""
