@@ -165,7 +165,7 @@ def test_tendon_finds_the_load_and_writes_everything(
     assert hz == pytest.approx(5.0, rel=0.005)
     assert "extinction ratio assumed (34.5, the middle of 25 to 44)" in text
     table = pandas.read_csv(out / "traces.csv")
-    images = list(fuse(recording, demosaic="guided", extinction_ratio=34.5,
+    images = list(fuse(recording, extinction_ratio=34.5,
                        times_us=grid_times(recording, 100, None, None)))
     mean = [[float(p[6:18, 8:24].mean(dtype=float)) for p in (f.s0, f.s1, f.s2)]
             for f in images if f.valid[6:18, 8:24].all()]

@@ -165,8 +165,9 @@ def measure(
     Findings
     """
     options = fuse_options(args, recording)
-    if args.demosaic is None:
-        options["demosaic"] = "guided"      # stripes are half as high
+    # Guided demosaicing has the smaller stripes, bilinear no error of a region's mean.
+    options["demosaic"], of_regions = (args.demosaic or name for name in (
+        "guided", "bilinear"))
     assumed = periodic.assume_ratio(recording, options)
     fps = float(args.fps or 100.0)
     times = grid_times(recording, fps, options["start_us"], options["stop_us"])
@@ -180,11 +181,13 @@ def measure(
     if len(set(names)) < len(names):
         raise UsageError(f"regions must have different names, got {', '.join(names)}")
     stage("traces of the fused images; estimating parameters of the camera")
-    fused = _traces(args, recording, options, regions, background)
+    fused = _traces(args, recording, options | {"demosaic": of_regions}, regions,
+                    background)
     assert fused is not None  # there is a time on the grid
     frames = None
     if recording.info.frame_count != 0:
-        frames = _traces(args, recording, held, regions, background)
+        frames = _traces(args, recording, held | {"demosaic": of_regions}, regions,
+                         background)
     facts = facts_of(recording, options, estimate=args.estimate, images_per_second=fps)
     facts["assumed"] = [*facts["assumed"], *assumed]
     stage("amplitude and phase")
@@ -192,7 +195,7 @@ def measure(
     light = periodic.measure(
         args, recording,
         periodic.Frames(recording, options if frames is None else held, background),
-        regions, _found_hz(args, recording, fused), start)
+        of_regions, regions, _found_hz(args, recording, fused), start)
     found = Findings(start, facts, fused, frames, light)
     found.waves = results.waves_of(args, found)
     _optics(args, found)

@@ -72,9 +72,12 @@ class Frames:
             return np.zeros(len(t_us))
         return np.asarray(np.interp(t_us, self._mid, self._exposure), np.float64)
 
-    def images(self) -> Iterator[tuple[PolarFrame, FloatArray]]:
+    def images(
+        self, demosaic: str | None = None
+    ) -> Iterator[tuple[PolarFrame, FloatArray]]:
         """Yield images with a valid pixel, and their S0, S1, S2."""
-        for image in fuse(self._recording, **self.options):
+        options = {**self.options, "demosaic": demosaic or self.options["demosaic"]}
+        for image in fuse(self._recording, **options):
             if image.valid.any():
                 stokes = np.stack((image.s0, image.s1, image.s2)).astype(np.float64)
                 if self._background is not None:
@@ -114,27 +117,29 @@ class PeriodicLight:
 
 
 def measure(
-    args: argparse.Namespace, recording: Recording, frames: Frames,
+    args: argparse.Namespace, recording: Recording, frames: Frames, demosaic: str,
     regions: list[analysis.Roi], hz: float, reference_us: int,
 ) -> PeriodicLight:
-    """Fit the regions, then each pixel, in two passes over the frames.
+    """Fit the regions, then each pixel.
 
     Parameters
     ----------
+    demosaic : str
+        How the mosaic of the regions is demosaiced; that of the maps is in ``frames``.
     hz : float
         Frequency of the load.
     reference_us : int
         Time of phase 0.
     """
     always: NDArray[np.bool_] | None = None
-    for image, _ in frames.images():
+    for image, _ in frames.images(demosaic):
         always = image.valid.copy() if always is None else always & image.valid
         last = image
     assert always is not None
     masks = _masks(regions, last)
     inside = [mask & always if (mask & always).any() else mask for mask in masks]
     made = [(int(image.t_us or 0), [stokes[:, mask].mean(1) for mask in inside])
-            for image, stokes in frames.images()]
+            for image, stokes in frames.images(demosaic)]
     t = np.array([when for when, _ in made], np.int64)
     stokes = np.array([values for _, values in made]).transpose(1, 0, 2)
     exposure = frames.exposure_us(t)
