@@ -50,6 +50,8 @@ from ._increments_read import (
 from ._lamp import lamp_push, lamp_wave
 from ._leaky import (
     cf_frame,
+    cf_frame_authors,
+    cf_frame_printed,
     check_events,
     check_times,
     leak_events,

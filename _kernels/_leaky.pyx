@@ -1,9 +1,9 @@
 """Leaky integrators: a value per pixel that decays between events.
 
 Each pixel holds the time of its last update, a value that decays towards 0, and its
-rate in 1/us.  For the complementary filter the value is L - L_F
-(docs/theory/complementary-filter.md), for the events method the high-passed log
-intensity (docs/theory/events.md).
+rate in 1/us.  For the complementary filter the value is L - L_F, for the printed
+equation L (docs/theory/complementary-filter.md), for the events method the
+high-passed log intensity (docs/theory/events.md).
 """
 from libc.stdint cimport int64_t, uint8_t
 
@@ -230,3 +230,51 @@ def cf_frame(const float[:, ::1] sample not None, const uint8_t[:, ::1] valid no
                 cells[y, x].value += jump + jump * expm1_f(-(r * age[x]))
                 cells[y, x].rate = r
                 held[y, x] = sample[y, x]
+
+
+def cf_frame_authors(const float[:, ::1] sample not None,
+                     const uint8_t[:, ::1] valid not None,
+                     const float[::1] log_8bit not None, double t, float rate,
+                     float floor, float[:, ::1] held not None,
+                     cell_t[:, ::1] cells not None):
+    """As cf_frame, but the sample and its gain weigh the time since the last update.
+
+    L <- a L + (1 - a) ln F, a = exp(-m(F) (t - t_last) / tau), of all columns at t.
+    """
+    cdef Py_ssize_t h = cells.shape[0], w = cells.shape[1]
+    cdef Py_ssize_t y, x
+    if (sample.shape[0] != h or valid.shape[0] != h or held.shape[0] != h
+            or sample.shape[1] != w or valid.shape[1] != w or held.shape[1] != w
+            or log_8bit.shape[0] != w):
+        raise ValueError("cf_frame_authors: all arrays must have one shape")
+    with nogil:
+        for y in range(h):
+            for x in range(w):
+                cells[y, x].rate = rate * (
+                    gain_of(sample[y, x] + log_8bit[x], floor) if valid[y, x]
+                    else floor)
+                cells[y, x].value += held[y, x] - sample[y, x]
+                leak(&cells[y, x], t)
+                held[y, x] = sample[y, x]
+
+
+def cf_frame_printed(const float[:, ::1] sample not None,
+                     const uint8_t[:, ::1] valid not None, double t, float rate,
+                     float floor, float log_scale, cell_t[:, ::1] cells not None):
+    """Printed equation: L <- a L + (1 - a) sample, sample in ln DN."""
+    cdef Py_ssize_t h = cells.shape[0], w = cells.shape[1]
+    cdef Py_ssize_t y, x
+    cdef double old
+    cdef float fall, r
+    if (sample.shape[0] != h or valid.shape[0] != h or sample.shape[1] != w
+            or valid.shape[1] != w):
+        raise ValueError("cf_frame_printed: all arrays must have one shape")
+    with nogil:
+        for y in range(h):
+            for x in range(w):
+                old = cells[y, x].value
+                fall = expm1_f(-(cells[y, x].rate * <float>(t - cells[y, x].t)))
+                cells[y, x].value = old + (old - sample[y, x]) * fall
+                cells[y, x].t = t
+                r = gain_of(sample[y, x] + log_scale, floor) if valid[y, x] else floor
+                cells[y, x].rate = r * rate

@@ -28,6 +28,8 @@ __all__ = [
     "binned",
     "cds",
     "cf_frame",
+    "cf_frame_authors",
+    "cf_frame_printed",
     "check_events",
     "check_times",
     "correct",
@@ -166,6 +168,14 @@ def cds(
 def cf_frame(
     sample: _F32, valid: _U8, log_8bit: _F32, age: _F32, t: float, rate: float,
     floor: float, held: _F32, cells: NDArray[Any],
+) -> None: ...
+def cf_frame_authors(
+    sample: _F32, valid: _U8, log_8bit: _F32, t: float, rate: float, floor: float,
+    held: _F32, cells: NDArray[Any],
+) -> None: ...
+def cf_frame_printed(
+    sample: _F32, valid: _U8, t: float, rate: float, floor: float, log_scale: float,
+    cells: NDArray[Any],
 ) -> None: ...
 def check_events(events: NDArray[Any], last: int, h: int, w: int) -> int: ...
 def check_times(events: NDArray[Any]) -> int: ...

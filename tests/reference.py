@@ -16,13 +16,13 @@ def log_frame(dn, usable, log_exposure):
 class ComplementaryFilter:
     """docs/theory/complementary-filter.md in float64, an event at a time."""
 
-    def __init__(self, shape, theta_on, theta_off, cutoff_hz, adaptive_gain):
+    def __init__(self, shape, theta_on, theta_off, cutoff_hz, adaptive_gain, rule):
         self.on = np.broadcast_to(theta_on, shape)
         self.off = np.broadcast_to(theta_off, shape)
         self.tau_us = 1e6 / (2 * np.pi * cutoff_hz)
-        self.adaptive_gain = adaptive_gain
+        self.adaptive_gain, self.rule = adaptive_gain, rule
         self.t = np.zeros(shape)
-        self.L, self.held = np.zeros((2, *shape))
+        self.L, self.held, self.log_exposure = np.zeros((3, *shape))
         self.gain = np.ones(shape)
         self.valid = np.zeros(shape, bool)
         self.started = False
@@ -32,13 +32,14 @@ class ComplementaryFilter:
             at = e["y"], e["x"]
             a = np.exp(-(e["t"] - self.t[at]) * self.gain[at] / self.tau_us)
             step = self.on[at] if e["p"] else -self.off[at]
-            self.L[at] = a * self.L[at] + (1 - a) * self.held[at] + step
+            pull = 0 if self.rule == "printed" else (1 - a) * self.held[at]
+            self.L[at] = a * self.L[at] + pull + step
             self.t[at] = e["t"]
 
     def add_frame(self, frame):
         dn = np.maximum(frame.dn.astype(float), 1)
         log_exposure = np.log(frame.exposure_ms) if frame.exposure_ms else 0.0
-        sample = np.log(dn) - log_exposure
+        sample = np.log(dn) - (0 if self.rule == "printed" else log_exposure)
         if not self.started:
             self.L, self.held, self.started = sample.copy(), sample, True
         self.valid = frame.dn >= 1
@@ -46,13 +47,19 @@ class ComplementaryFilter:
             self.valid &= frame.valid
         gain = (np.where(self.valid, adaptive_gain(frame.dn), 0.1)
                 if self.adaptive_gain else np.ones_like(self.gain))
-        a = np.exp(-(frame.mid_us - self.t) * self.gain / self.tau_us)
-        self.L = a * self.L + (1 - a) * self.held
-        self.held = sample
+        weighing = gain if self.rule == "authors" else self.gain
+        a = np.exp(-(frame.mid_us - self.t) * weighing / self.tau_us)
+        pull = self.held if self.rule == "transfer" else sample
+        self.L = a * self.L + (1 - a) * pull
+        self.held, self.log_exposure = sample, log_exposure
         self.t[:] = frame.mid_us
         self.gain = gain
 
     def read(self, t_us):
+        if self.rule == "authors":
+            return self.L
+        if self.rule == "printed":
+            return self.L - self.log_exposure
         a = np.exp(-(t_us - self.t) * self.gain / self.tau_us)
         return a * self.L + (1 - a) * self.held
 

@@ -9,9 +9,11 @@ from streams import feed, random_events, random_frame
 
 import pdavis_cv
 from pdavis_cv import ApsFrame, ComplementaryFilter
+from pdavis_cv.reconstruct.cf import RULES
 from pdavis_cv.reconstruct.frames import FrameHold
 
 SHAPE = (6, 8)
+OPTIONS = [(adaptive, rule) for adaptive in (True, False) for rule in RULES]
 MAPS = np.random.default_rng(9).uniform(0.1, 0.3, (2, *SHAPE))
 
 
@@ -36,13 +38,15 @@ def recordings(draw):
 
 
 @settings(max_examples=150)
-@given(recordings(), st.booleans(), st.booleans(),
+@given(recordings(), st.sampled_from(OPTIONS), st.booleans(),
        st.sampled_from([0.5, 1.6, 30.0]))
-def test_it_equals_float64_evaluation_of_the_equations(stream, adaptive, maps, cutoff):
+def test_it_equals_float64_evaluation_of_the_equations(stream, options, maps, cutoff):
     events, frames, read_us = stream
     on, off = MAPS if maps else (0.2, 0.25)
-    mine = make(on=on, off=off, cutoff_hz=cutoff, adaptive_gain=adaptive)
-    exact = reference.ComplementaryFilter(SHAPE, on, off, cutoff, adaptive)
+    adaptive, rule = options
+    mine = make(on=on, off=off, cutoff_hz=cutoff, adaptive_gain=adaptive,
+                rule=rule)
+    exact = reference.ComplementaryFilter(SHAPE, on, off, cutoff, adaptive, rule)
     feed(mine, events, frames)
     feed(exact, events, frames)
     estimate = mine.read(read_us)
@@ -52,12 +56,13 @@ def test_it_equals_float64_evaluation_of_the_equations(stream, adaptive, maps, c
     assert estimate.variance is None
 
 
-@pytest.mark.parametrize("adaptive", [True, False])
-def test_busy_pixels_stay_within_the_tolerance(adaptive):
+@pytest.mark.parametrize("options", OPTIONS)
+def test_busy_pixels_stay_within_the_tolerance(options):
     events = random_events(30_000, (1, 1), stop_us=3_000_000)
     frames = frames_of([100_000, 1_000_000, 2_000_000], (1, 1))
-    mine = make((1, 1), adaptive_gain=adaptive)
-    exact = reference.ComplementaryFilter((1, 1), 0.2, 0.25, 1.6, adaptive)
+    adaptive, rule = options
+    mine = make((1, 1), adaptive_gain=adaptive, rule=rule)
+    exact = reference.ComplementaryFilter((1, 1), 0.2, 0.25, 1.6, adaptive, rule)
     feed(mine, events, frames)
     feed(exact, events, frames)
     np.testing.assert_allclose(mine.read(3_000_000).log_intensity,
@@ -65,10 +70,11 @@ def test_busy_pixels_stay_within_the_tolerance(adaptive):
 
 
 @settings(max_examples=40)
-@given(recordings(), st.booleans(), st.lists(st.integers(0, 400)))
-def test_how_the_stream_is_cut_changes_no_bit(stream, adaptive, cuts):
+@given(recordings(), st.sampled_from(OPTIONS), st.lists(st.integers(0, 400)))
+def test_how_the_stream_is_cut_changes_no_bit(stream, options, cuts):
     events, frames, read_us = stream
-    whole, cut = (make(adaptive_gain=adaptive) for _ in range(2))
+    adaptive, rule = options
+    whole, cut = (make(adaptive_gain=adaptive, rule=rule) for _ in range(2))
     feed(whole, events, frames)
     at = 0
     for frame in frames:
@@ -84,10 +90,11 @@ def test_how_the_stream_is_cut_changes_no_bit(stream, adaptive, cuts):
                                   whole.read(read_us).log_intensity)
 
 
-def test_a_snapshot_survives_pickling_and_restores_every_bit():
+@pytest.mark.parametrize("rule", RULES)
+def test_a_snapshot_survives_pickling_and_restores_every_bit(rule):
     events = random_events(2000, SHAPE)
     frames = frames_of([200_000, 700_000])
-    first = make()
+    first = make(rule=rule)
     feed(first, events[:900], frames[:1])
     snapshot = first.snapshot()
     kept = pickle.dumps(snapshot)
@@ -95,7 +102,7 @@ def test_a_snapshot_survives_pickling_and_restores_every_bit():
     want = first.read(1_000_000)
     assert pickle.dumps(snapshot) == kept  # deep: feeding did not touch it
     for _ in range(2):  # restoring does not use it up
-        other = make()
+        other = make(rule=rule)
         other.restore(pickle.loads(kept))
         feed(other, events[900:], frames[1:])
         got = other.read(1_000_000)
@@ -107,6 +114,7 @@ def test_a_snapshot_survives_pickling_and_restores_every_bit():
     (make((8, 6)), "shape"),
     (make(on=0.21), "theta_on"),
     (make(on=np.full(SHAPE, 0.2)), "theta_on"),
+    (make(rule="printed"), "rule"),
     (FrameHold(SHAPE), "method"),
 ])
 def test_a_foreign_snapshot_is_refused(other, message):
@@ -185,20 +193,33 @@ def test_an_unusable_sample_makes_its_pixel_invalid_until_a_usable_one():
     assert seen == [True, False, True]
 
 
-def test_between_events_it_relaxes_to_the_frame_before():
-    frames = [ApsFrame(np.full(SHAPE, dn), t, t + 1000)
-              for dn, t in ((500.0, 0), (100.0, 60_000_000))]
+def test_the_printed_equation_decays_towards_zero_and_cf_towards_the_frame():
+    frame = ApsFrame(np.full(SHAPE, 500.0), 0, 1000)
     events = np.zeros(1, pdavis_cv.EVENT_DTYPE)
     events["t"] = 60_000_000
-    method = make()
-    method.add_frame(frames[0])
-    method.add_events(events)
-    assert method.read(60_000_000).log_intensity[0, 0] == pytest.approx(
-        np.log(500) - 0.25, abs=1e-5)
-    method.add_frame(frames[1])
-    # The new frame acts from then on, not on the silence before it.
-    assert method.read(60_000_500).log_intensity[3, 3] == pytest.approx(
-        np.log(500), abs=1e-5)
+    values = {}
+    for rule in RULES:
+        method = make(rule=rule)
+        method.add_frame(frame)
+        method.add_events(events)
+        values[rule] = method.read(60_000_000).log_intensity[0, 0]
+    for rule in ("transfer", "authors"):
+        assert values[rule] == pytest.approx(np.log(500) - 0.25, abs=1e-5)
+    assert values["printed"] == pytest.approx(-0.25, abs=1e-5)
+
+
+def test_the_authors_weigh_the_time_before_a_frame_by_that_frame():
+    """After a long silence the new frame decides at once, not from then on."""
+    frames = [ApsFrame(np.full(SHAPE, dn), t, t + 1000)
+              for dn, t in ((100.0, 0), (500.0, 60_000_000))]
+    values = {}
+    for rule in ("transfer", "authors"):
+        method = make(rule=rule)
+        for frame in frames:
+            method.add_frame(frame)
+        values[rule] = method.read(60_000_500).log_intensity[0, 0]
+    assert values["transfer"] == pytest.approx(np.log(100), abs=1e-5)
+    assert values["authors"] == pytest.approx(np.log(500), abs=1e-5)
 
 
 def test_each_column_of_a_rolling_shutter_acts_from_its_own_middle_on():
@@ -210,7 +231,8 @@ def test_each_column_of_a_rolling_shutter_acts_from_its_own_middle_on():
     feed(method, events, [first, rolling])
     got = method.read(1_000_000).log_intensity
     for column in range(8):
-        exact = reference.ComplementaryFilter(SHAPE, 0.2, 0.25, 1.6, False)
+        exact = reference.ComplementaryFilter(
+            SHAPE, 0.2, 0.25, 1.6, False, "transfer")
         middle = ApsFrame(rolling.dn, int(start[column]), int(start[column]) + 10_000)
         feed(exact, events, [first, middle])
         np.testing.assert_allclose(got[:, column], exact.read(1_000_000)[:, column],
@@ -298,6 +320,7 @@ def test_a_frame_of_another_shape_is_refused():
     ({"on": 0}, "theta_on must be positive and finite, got 0"),
     ({"off": -0.2}, "theta_off must be positive and finite, got -0.2"),
     ({"on": np.ones((2, 2))}, r"theta_on must be a scalar or have shape \(6, 8\)"),
+    ({"rule": "literal"}, r"rule must be one of .*, got 'literal'"),
     ({"cutoff_hz": float("nan")}, "cutoff_hz must be positive and finite, got nan"),
     ({"shape": (0, 4)}, r"shape must lie in 1..65536, got \(0, 4\)"),
     ({"shape": 4}, r"shape must be \(height, width\), got 4"),
@@ -311,8 +334,9 @@ def test_out_receives_the_log_intensity():
     method = make()
     method.add_frame(random_frame(SHAPE, 0))
     out = np.full(SHAPE, np.nan, np.float32)
-    method.read(10_000, out=out)
-    np.testing.assert_array_equal(out, method.read(10_000).log_intensity)
+    for each in (method, make(rule="authors"), make(rule="printed")):
+        each.read(10_000, out=out)
+        np.testing.assert_array_equal(out, each.read(10_000).log_intensity)
     assert method.read(0, out=out).log_intensity is out
     with pytest.raises(TypeError, match="out must be float32, got float64"):
         method.read(0, out=np.zeros(SHAPE))

@@ -54,6 +54,7 @@ class MethodKeywords(TypedDict, total=False):
     offsets: str
     radius: int | None
     ratio_sigma: float | None
+    rule: str
     scaling: str | None
     table: ArrayLike | None
     weights: str | Path | Weights | None
