@@ -1,4 +1,5 @@
 """Real programs read whole recordings through the adapters."""
+import pickle
 import sys
 import threading
 import types
@@ -196,6 +197,16 @@ def test_isinstance_works_while_patched(path):
         cap.release()
 
 
+def test_a_patched_capture_pickles(path, expected):
+    with patched_cv2(**OPTIONS):
+        cap = cv2.VideoCapture(path)
+        cap.set(1, 80)
+        copy = pickle.loads(pickle.dumps(cap))
+        cap.release()
+    check(list(copy), expected[80:])
+    copy.release()
+
+
 def test_an_unknown_parameter_is_refused_before_anything_is_patched():
     real = cv2.VideoCapture
     with pytest.raises(TypeError, match="no parameter 'speed'"), patched_cv2(speed=1):
@@ -220,6 +231,9 @@ def test_pims_slices_the_recording(path, expected):
         assert frames[8].metadata["t_us"] - frames[0].metadata["t_us"] == 16_000
         halved = pims.pipeline(lambda image: image // 2)(frames)[5:7]
         np.testing.assert_array_equal(halved[1], expected[6] // 2)
+        copy = pickle.loads(pickle.dumps(frames))
+        np.testing.assert_array_equal(copy[50], expected[50])
+        copy.close()
 
 
 def test_pims_shares_a_recording_among_threads(path, expected):

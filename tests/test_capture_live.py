@@ -1,4 +1,5 @@
 """VideoCapture on live sources: cv2's manners of a camera."""
+import pickle
 
 import numpy as np
 import pytest
@@ -65,6 +66,8 @@ def test_a_live_source_has_neither_a_length_nor_positions(recording):
         assert "no positions" in capture.last_error
         assert not capture.set(POS_MSEC, 100.0)
         assert capture.get(5) == 60
+        with pytest.raises(TypeError, match="cannot pickle a capture of a live source"):
+            pickle.dumps(capture)
         assert capture.read()[0]
 
 

@@ -120,6 +120,44 @@ def test_seeks_with_given_times_equal_sequential_reading(ideal):
         check_random_seeks(cap, 40)
 
 
+@pytest.mark.gate
+@CASES
+def test_a_pickled_copy_goes_on_with_the_same_images(ideal, method):
+    with VideoCapture(ideal, **method, fps=40) as cap:
+        for _ in range(130):
+            cap.grab()
+        copy = pickle.loads(pickle.dumps(cap))
+        assert everything(copy) == everything(cap)
+        assert copy.get(POS_FRAMES) == cap.get(POS_FRAMES) == 130
+        assert read_on(copy) == read_on(cap)
+        copy.release()
+
+
+@pytest.mark.gate
+def test_a_pickled_copy_of_a_file_opens_it_again(data_dir):
+    cap = VideoCapture(data_dir / "davis346.aedat4", fps=50, layout=Layout.PDAVIS,
+                       gain=2.0, output=p.CAP_PDAVIS_DOLP_BGR)
+    cap.set(POS_FRAMES, 100)
+    copy = pickle.loads(pickle.dumps(cap))
+    cap_images, copy_images = list(cap), list(copy)
+    assert len(copy_images) == copy.get(COUNT) - 100
+    np.testing.assert_array_equal(cap_images, copy_images)
+    cap.release()
+    copy.release()
+
+
+def test_a_pickled_copy_of_a_lost_file_is_closed_and_says_why(data_dir, tmp_path):
+    path = tmp_path / "moved.aedat4"
+    path.write_bytes((data_dir / "davis346.aedat4").read_bytes())
+    cap = VideoCapture(path, fps=50, layout=Layout.PDAVIS)
+    stored = pickle.dumps(cap)
+    cap.release()
+    path.unlink()
+    copy = pickle.loads(stored)
+    assert not copy.isOpened()
+    assert "moved.aedat4: cannot be opened" in copy.last_error
+
+
 class _Counted:
     """Counts what is read of files and of a recording in memory."""
 

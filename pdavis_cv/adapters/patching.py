@@ -115,5 +115,9 @@ def _patched(
             self._parameters = self._asked if ours else {}
             return super()._open(function, filename, backend, params, index)
 
+        def __reduce__(self) -> tuple[Any, ...]:
+            # Another process cannot import this local class.
+            return object.__new__, (VideoCapture,), self.__getstate__()
+
     PatchedVideoCapture.__name__ = PatchedVideoCapture.__qualname__ = "VideoCapture"
     return PatchedVideoCapture

@@ -2,8 +2,8 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from dataclasses import dataclass
 from fractions import Fraction
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import nbytes
 from pdavis_cv.recording.base import Recording
 
-__all__ = ["Cursor"]
+__all__ = ["Bookmark", "Cursor"]
 
 SPACING_US = 2_000_000
 """Recording time between two snapshots, before any are dropped, us."""
@@ -23,8 +23,16 @@ MOST_SNAPSHOTS = 64
 MOST_BYTES = 256 * 2**20
 
 
-class _Bookmark(NamedTuple):
-    """A position between two images, and the time of the image before the last one."""
+@dataclass(frozen=True, eq=False)
+class Bookmark:
+    """A position between two images to which a Cursor can return; picklable.
+
+    Parameters
+    ----------
+    snapshot : FusionSnapshot
+    previous_us : int or None
+        Time of the image before the last one.
+    """
 
     snapshot: FusionSnapshot
     previous_us: int | None
@@ -59,7 +67,7 @@ class Cursor:
         self.fusion, self._recording = fusion, fusion.recording
         self.previous_us: int | None = None
         self.spacing_us = SPACING_US
-        self._kept: list[_Bookmark] = []
+        self._kept: list[Bookmark] = []
         self._times: NDArray[np.int64] | None = None
         self._count: int | None = None
 
@@ -113,9 +121,9 @@ class Cursor:
             if known is None:
                 self.rewind()
             else:
-                self._restore(known)
+                self.restore(known)
         elif known is not None and known.snapshot.index > self.index:
-            self._restore(known)
+            self.restore(known)
         while self.index < index and self.advance():
             pass
         return self.index
@@ -125,7 +133,12 @@ class Cursor:
         self.fusion.rewind()
         self.previous_us = None
 
-    def _restore(self, mark: _Bookmark) -> None:
+    def bookmark(self) -> Bookmark:
+        """Return the position; an equal Cursor can `restore` it."""
+        return Bookmark(self.fusion.snapshot(), self.previous_us)
+
+    def restore(self, mark: Bookmark) -> None:
+        """Move to a bookmark."""
         self.fusion.restore(mark.snapshot)
         self.previous_us = mark.previous_us
 
@@ -136,7 +149,7 @@ class Cursor:
             return
         # The next snapshot will be about as large as the last: make room for it.
         self._thin(MOST_BYTES - nbytes(self._kept[-1:]))
-        self._kept.append(_Bookmark(self.fusion.snapshot(), self.previous_us))
+        self._kept.append(self.bookmark())
         self._thin(MOST_BYTES)
 
     def _thin(self, most_bytes: int) -> None:

@@ -12,7 +12,7 @@ from pdavis_cv._types import Image, Parameters
 from pdavis_cv.capture import constants as c, picture
 from pdavis_cv.capture.manners import type_code
 from pdavis_cv.capture.outputs import output_at
-from pdavis_cv.capture.seeking import Cursor
+from pdavis_cv.capture.seeking import Bookmark, Cursor
 from pdavis_cv.capture.source import NAME_OF_PROPERTY, decoded_value, opened
 from pdavis_cv.capture.stream import LiveCursor
 from pdavis_cv.errors import PdavisError
@@ -202,6 +202,17 @@ class Session:
             self._broken = None
         self.cursor.seek(int(index))
         self.grabbed = self.cursor.index > 0
+
+    def state(self) -> tuple[Bookmark, bool]:
+        """Return the position, to be restored in an equal Session."""
+        return self.cursor.bookmark(), self.grabbed
+
+    def restore(self, state: tuple[Bookmark, bool]) -> None:
+        """Move to the position that `state` returned."""
+        mark, grabbed = state
+        self._frame = None
+        self.cursor.restore(mark)
+        self.grabbed = grabbed
 
     # ---- properties --------------------------------------------------------------
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 from typing import NoReturn
 
+from pdavis_cv.capture.seeking import Bookmark
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.live import Session
 from pdavis_cv.polarimetry import PolarFrame
@@ -75,7 +76,7 @@ class LiveCursor:
             If it is any other.
         """
         if index != self.index:
-            self._refuse()
+            raise ValueError("a live source has no positions: images come once")
         return self.index
 
     def index_at(self, t_us: float) -> int:
@@ -83,6 +84,14 @@ class LiveCursor:
         self._refuse()
 
     def rewind(self) -> None:
+        """Raise ValueError: images come once."""
+        self._refuse()
+
+    def bookmark(self) -> Bookmark:
+        """Raise TypeError: a live source cannot be pickled."""
+        raise TypeError("cannot pickle a capture of a live source")
+
+    def restore(self, mark: Bookmark) -> None:
         """Raise ValueError: images come once."""
         self._refuse()
 

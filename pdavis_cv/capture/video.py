@@ -517,7 +517,7 @@ class VideoCapture(Advises):
         raise_like_cv2(
             "waitAny", "VideoCapture::waitAny() is supported by V4L backend only", -213)
 
-    # ---- context -----------------------------------------------------------------
+    # ---- context, copies ---------------------------------------------------------
 
     def __enter__(self) -> Self:
         return self
@@ -528,6 +528,30 @@ class VideoCapture(Advises):
     def __del__(self) -> None:
         if hasattr(self, "_session"):
             self.release()
+
+    def __getstate__(self) -> dict[str, Any]:
+        with self._lock:
+            if self._foreign is not None:
+                raise TypeError("cannot pickle a capture that cv2 opened")
+            state = {name: getattr(self, name) for name in (
+                "_exceptions", "_source", "_parameters", "_view", "_status", "_error")}
+            if self._session is not None:
+                state["_parameters"] = self._session.parameters
+                state["_view"] = self._session.view
+                state["position"] = self._session.state()
+            return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        position = state.pop("position", None)
+        self._lock = threading.RLock()
+        self._session, self._foreign = None, None
+        self.__dict__.update(state)
+        if position is not None:
+            try:
+                self._session = Session(self._source, self._parameters, self._view)
+                self._session.restore(position)
+            except (OSError, ImportError) as error:
+                self._status, self._error = CaptureStatus.ERROR, str(error)
 
     def __repr__(self) -> str:
         where = "closed" if not self.isOpened() else (
