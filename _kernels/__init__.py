@@ -26,7 +26,7 @@ from ._event_words import (
     ros_events,
     stream_events,
 )
-from ._events import count
+from ._events import count, surface, voxel
 from ._guided import guided
 from ._increments import (
     increments_commit,

@@ -65,6 +65,9 @@ from .events import (
     EVENT_DTYPE as EVENT_DTYPE,
     accumulate as accumulate,
     as_events as as_events,
+    slices as slices,
+    time_surface as time_surface,
+    voxel_grid as voxel_grid,
 )
 from .fusion.iteration import fuse as fuse
 from .fusion.options import FusionOptions as FusionOptions

@@ -88,9 +88,11 @@ __all__ = [
     "sort_events",
     "stokes",
     "stream_events",
+    "surface",
     "texture_stokes",
     "tone_bgr",
     "turning_events",
+    "voxel",
     "voxel_planes",
 ]
 
@@ -356,6 +358,8 @@ def ramp_bgr(
 def tone_bgr(
     plane: NDArray[Any], valid: _U8, scale: float, least: float, table: _U8, out: _U8
 ) -> None: ...
+def surface(events: NDArray[Any], t: int, rate: float, out: _F32) -> None: ...
+def voxel(events: NDArray[Any], start: int, stop: int, out: _F32) -> int: ...
 def voxel_planes(
     events: NDArray[Any], last: int, start: int, stop: int, steps: _F32,
     height: int, width: int, out: _F32, seen: _U8,

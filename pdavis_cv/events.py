@@ -1,8 +1,9 @@
 """Events: their dtype, checks, and conversions to images and bins."""
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,19 +11,25 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._checks import (
     output,
+    positive,
     sensor_shape,
+    whole_number,
 )
 from pdavis_cv._types import Events
 
 __all__ = [
     "EVENT_DTYPE",
     "FAR",
+    "EventSlice",
     "accumulate",
     "as_events",
     "bad_event",
     "check_order",
     "checked_time",
+    "slices",
+    "time_surface",
     "timed_events",
+    "voxel_grid",
 ]
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
@@ -31,6 +38,9 @@ EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 FAR = 1 << 61
 """Times lie within this of 0, us (73,000 years): sums and differences of two stay in
 64 bits."""
+
+MOST_BINS = 65_536
+"""A choice: the bins of `voxel_grid` are held in memory, each an image."""
 
 _ALIASES = {
     "t": ("t", "timestamp", "ts"),
@@ -141,6 +151,22 @@ def check_order(events: Events, name: str = "events") -> None:
             f"t={t[i - 1]}")
 
 
+class EventSlice(NamedTuple):
+    """Events of one bin; see `slices`.
+
+    Parameters
+    ----------
+    start_us, stop_us : int
+        Half-open interval [start_us, stop_us) that holds the events.
+    events : ndarray of EVENT_DTYPE, shape (N,)
+        A view of the original array.
+    """
+
+    start_us: int
+    stop_us: int
+    events: Events
+
+
 def accumulate(
     events: Any,
     shape: Sequence[int],
@@ -184,6 +210,199 @@ def accumulate(
     counts.fill(0)
     _all_taken(events, _kernels.count(events, start, stop, counts), size)
     return counts
+
+
+def slices(
+    events: Any,
+    *,
+    duration_us: int | None = None,
+    count: int | None = None,
+    start_us: int | None = None,
+    stop_us: int | None = None,
+) -> Iterator[EventSlice]:
+    """Cut events into bins of equal duration or of equal number.
+
+    Parameters
+    ----------
+    events : ndarray of EVENT_DTYPE, shape (N,)
+        Time-ordered; or what `as_events` accepts.
+    duration_us : int, optional
+        Bin k is [start_us + k * duration_us, start_us + (k + 1) * duration_us), empty
+        ones included; the last one ends at ``stop_us``, if that is given.
+    count : int, optional
+        Events per bin instead; the last bin may hold fewer.  A bin goes from its
+        first event to one past its last: events of one time may be divided between
+        two bins, which then overlap by that microsecond.
+    start_us, stop_us : int, optional
+        Half-open interval [start_us, stop_us) to be cut; default: from the first
+        event to the last one.
+
+    Returns
+    -------
+    iterator of EventSlice
+        In order of time; the events are views.
+
+    Raises
+    ------
+    ValueError
+        If not exactly one of ``duration_us`` and ``count`` is given, it is not
+        positive, or time runs backward; the message names the first such event.
+    """
+    if (duration_us is None) == (count is None):
+        raise ValueError(
+            "slices needs either duration_us or count, got "
+            f"duration_us={duration_us}, count={count}")
+    if duration_us is not None:
+        duration_us = whole_number("duration_us", duration_us, 1, FAR)
+    if count is not None:
+        count = whole_number("count", count, 1, FAR)
+    if start_us is not None:
+        start_us = checked_time("start_us", start_us)
+    if stop_us is not None:
+        stop_us = checked_time("stop_us", stop_us)
+    events = as_events(events)
+    check_order(events)
+    t = events["t"]
+    first = 0 if start_us is None else bisect_left(t, start_us)
+    end = len(t) if stop_us is None else bisect_left(t, stop_us)
+    events = events[first:end]
+    if count is not None:
+        return _by_count(events, count)
+    assert duration_us is not None
+    if start_us is None and len(events):
+        start_us = int(events["t"][0])
+    if stop_us is None and len(events) and start_us is not None:
+        whole = (int(events["t"][-1]) - start_us) // duration_us + 1
+        stop_us = start_us + whole * duration_us
+    if start_us is None or stop_us is None:
+        return iter(())
+    return _by_duration(events, duration_us, start_us, stop_us)
+
+
+def _by_count(events: Events, count: int) -> Iterator[EventSlice]:
+    for i in range(0, len(events), count):
+        part = events[i:i + count]
+        yield EventSlice(int(part["t"][0]), int(part["t"][-1]) + 1, part)
+
+
+def _by_duration(
+    events: Events, duration: int, start: int, stop: int
+) -> Iterator[EventSlice]:
+    t, at = events["t"], 0
+    while start < stop:
+        end = min(start + duration, stop)
+        to = bisect_left(t, end, at)
+        yield EventSlice(start, end, events[at:to])
+        start, at = end, to
+
+
+def voxel_grid(
+    events: Any,
+    shape: Sequence[int],
+    bins: int,
+    *,
+    start_us: int | None = None,
+    stop_us: int | None = None,
+    out: NDArray[np.float32] | None = None,
+) -> NDArray[np.float32]:
+    """Sum polarities in time bins, each event shared between the two nearest.
+
+    Bin k is centred at ``start_us + k * (stop_us - start_us) / (bins - 1)`` and takes
+    ``1 - |distance|``, in units of the spacing, of each event; a single bin takes
+    everything (Zhu et al., CVPR 2019).
+
+    Parameters
+    ----------
+    events : ndarray of EVENT_DTYPE, shape (N,)
+        Time-ordered; or what `as_events` accepts.
+    shape : (int, int)
+        Sensor (height, width).
+    bins : int
+        Number of bins.
+    start_us, stop_us : int, optional
+        Half-open interval [start_us, stop_us) that is spread over the bins; default:
+        from the first event to one past the last.
+    out : ndarray of float32, shape (bins, H, W), optional
+        Receives the result; overwritten.
+
+    Returns
+    -------
+    ndarray of float32, shape (bins, H, W)
+        Sums of +1 (ON) and -1 (OFF).
+
+    Raises
+    ------
+    ValueError
+        If an event lies outside ``shape``; the message names the first one.  If the
+        interval is empty, ``bins`` not positive, or ``out`` unfit.
+    TypeError
+        If ``out`` has another dtype.
+    """
+    events, size = timed_events(events), sensor_shape(shape)
+    bins = whole_number("bins", bins, 1, MOST_BINS)
+    grid = output(out, (bins, *size), np.float32, events)
+    if not len(events):
+        grid.fill(0)
+        return grid
+    start = int(events["t"][0]) if start_us is None else checked_time(
+        "start_us", start_us)
+    stop = int(events["t"][-1]) + 1 if stop_us is None else checked_time(
+        "stop_us", stop_us)
+    if stop <= start:
+        raise ValueError(f"stop_us must lie after start_us, got [{start}, {stop})")
+    grid.fill(0)
+    _all_taken(events, _kernels.voxel(events, start, stop, grid), size)
+    return grid
+
+
+def time_surface(
+    events: Any,
+    shape: Sequence[int],
+    *,
+    tau_us: float,
+    t_us: int | None = None,
+    out: NDArray[np.float32] | None = None,
+) -> NDArray[np.float32]:
+    """Return exp(-age / tau) of the last event of each pixel and polarity.
+
+    Parameters
+    ----------
+    events : ndarray of EVENT_DTYPE, shape (N,)
+        Time-ordered; or what `as_events` accepts.
+    shape : (int, int)
+        Sensor (height, width).
+    tau_us : float
+        Time constant in microseconds.
+    t_us : int, optional
+        Time of the surface; later events are ignored.  Default: the time of the last
+        event.
+    out : ndarray of float32, shape (2, H, W), optional
+        Receives the result; overwritten.
+
+    Returns
+    -------
+    ndarray of float32, shape (2, H, W)
+        1 for an event at ``t_us``, 0 where there was none; plane 0 is OFF, plane 1
+        is ON.
+
+    Raises
+    ------
+    ValueError
+        If an event lies outside ``shape`` or time runs backward; the message names
+        the first one.  If ``tau_us`` is not positive or ``out`` unfit.
+    TypeError
+        If ``out`` has another dtype.
+    """
+    events, size = timed_events(events), sensor_shape(shape)
+    rate = 1 / positive("tau_us", tau_us)
+    surface = output(out, (2, *size), np.float32, events)
+    never = int(np.iinfo(np.int64).min)
+    _all_taken(events, _kernels.check_events(events, never, *size), size)
+    surface.fill(0)
+    if len(events):
+        t = int(events["t"][-1]) if t_us is None else checked_time("t_us", t_us)
+        _kernels.surface(events[:bisect_right(events["t"], t)], t, rate, surface)
+    return surface
 
 
 def _all_taken(events: Events, taken: int, shape: tuple[int, int]) -> None:

@@ -143,6 +143,25 @@ def count(events, shape, start_us, stop_us):
     return out
 
 
+def voxel_grid(events, shape, bins, start_us, stop_us):
+    """Every event against every bin, in float64."""
+    events = events[(events["t"] >= start_us) & (events["t"] < stop_us)]
+    place = (bins - 1) * (events["t"] - start_us) / (stop_us - start_us)
+    sign = np.where(events["p"], 1.0, -1.0)
+    out = np.zeros((bins, *shape))
+    for k in range(bins):
+        share = np.maximum(0, 1 - np.abs(place - k))
+        np.add.at(out[k], (events["y"], events["x"]), sign * share)
+    return out
+
+
+def time_surface(events, shape, tau_us, t_us):
+    last = np.full((2, *shape), -np.inf)
+    for e in events[events["t"] <= t_us]:
+        last[e["p"], e["y"], e["x"]] = e["t"]
+    return np.exp((last - t_us) / tau_us)
+
+
 def event_high_pass(events, shape, theta_on, theta_off, cutoff_hz, radius, t_us, hold):
     """Each pixel's sum, and means over the macropixels within the radius, in float64.
 
