@@ -69,6 +69,8 @@ def output(
         raise ValueError(f"{name} must have shape {shape}, got {out.shape}")
     if not out.flags.c_contiguous:
         raise ValueError(f"{name} must be C-contiguous, got strides {out.strides}")
+    if not out.flags.aligned:
+        raise ValueError(f"{name} must be aligned to its {dtype}")
     if not out.flags.writeable:
         raise ValueError(f"{name} must be writeable, got a read-only array")
     for array in inputs:

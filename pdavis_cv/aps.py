@@ -67,7 +67,7 @@ def cds(
             raise TypeError(f"{name} must be uint16, got {kind}")
         if read.ndim != 2:
             raise ValueError(f"{name} must be (H, W), got shape {read.shape}")
-        reads.append(np.ascontiguousarray(read, np.uint16))
+        reads.append(np.require(read, np.uint16, ("C", "A")))
     shape = reads[0].shape
     if reads[1].shape != shape:
         raise ValueError(
@@ -124,7 +124,7 @@ def correct(
         raise TypeError(f"valid must be bool, got {valid.dtype}")
     if valid is not None and valid.shape != dn.shape:
         raise ValueError(f"valid must have shape {dn.shape}, got {valid.shape}")
-    raw = np.ascontiguousarray(dn)
+    raw = np.require(dn, None, ("C", "A"))
     offsets, factors = _plane("dark", dark, raw.shape), _plane("gain", gain, raw.shape)
     result = np.empty(raw.shape, np.float32)
     usable = np.ones(raw.shape, np.bool_) if valid is None else np.array(
@@ -205,4 +205,4 @@ def _plane(
     if plane.ndim and plane.shape != shape:
         raise ValueError(
             f"{name} must be one number or have shape {shape}, got {plane.shape}")
-    return np.ascontiguousarray(np.broadcast_to(plane, shape))
+    return np.require(np.broadcast_to(plane, shape), None, ("C", "A"))

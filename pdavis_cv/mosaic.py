@@ -300,7 +300,7 @@ def filled_samples(
 
 
 def checked_mosaic(mosaic: Image) -> Image:
-    """Return mosaic, C-contiguous, after checking its dtype and dimensions."""
+    """Return mosaic, C-contiguous and aligned, after checking its dtype and sides."""
     if not isinstance(mosaic, np.ndarray):
         raise TypeError(f"mosaic must be an ndarray, got {type(mosaic).__name__}")
     if mosaic.dtype not in PIXEL_DTYPES:
@@ -308,7 +308,7 @@ def checked_mosaic(mosaic: Image) -> Image:
             f"mosaic must be uint8, uint16 or float32, got {mosaic.dtype}")
     if mosaic.ndim != 2:
         raise ValueError(f"mosaic must be (H, W), got shape {mosaic.shape}")
-    return np.ascontiguousarray(mosaic)
+    return np.require(mosaic, None, ("C", "A"))
 
 
 def check_method(method: str, shape: tuple[int, ...]) -> None:

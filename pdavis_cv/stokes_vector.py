@@ -269,7 +269,7 @@ def real(name: str, value: ArrayLike) -> NDArray[np.float32]:
     array = np.asarray(value)
     if array.dtype.kind not in "fiub":
         raise TypeError(f"{name} must hold real numbers, got {array.dtype}")
-    return np.asarray(array, np.float32, order="C")
+    return np.require(array, np.float32, ("C", "A"))
 
 
 def _alike(**values: ArrayLike) -> list[NDArray[np.float32]]:

@@ -289,7 +289,7 @@ def _from_fiji(region: Any, path: Path) -> Roi:
 def _from_geojson(path: Path) -> list[Roi]:
     """Return the polygons of GeoJSON: a geometry, a feature, or several."""
     try:
-        found = json.loads(path.read_text("utf-8"))
+        found = json.loads(path.read_text("utf-8-sig"))
         if isinstance(found, dict):
             found = found.get("features", [found])
         regions = []

@@ -99,7 +99,7 @@ class ApsFrame(Advises):
     ) -> None:
         stored = np.asarray(dn)
         if stored.dtype.kind not in "iu" or stored.flags.writeable:
-            stored = np.ascontiguousarray(stored, np.float32)
+            stored = np.require(stored, np.float32, ("C", "A"))
         self._dn = stored
         if stored.ndim != 2:
             raise ValueError(f"dn must be (H, W), got shape {stored.shape}")
@@ -144,7 +144,7 @@ class ApsFrame(Advises):
             raise ValueError(
                 f"{name} must be one number or one per column ({self._dn.shape[1]},), "
                 f"got shape {array.shape}")
-        return np.ascontiguousarray(array, np.int64)
+        return np.require(array, np.int64, ("C", "A"))
 
     @property
     def dn(self) -> NDArray[np.float32]:

@@ -237,7 +237,7 @@ class FileRecording(Recording):
         -------
         ndarray of EVENT_DTYPE, shape (M,)
         """
-        t = np.ascontiguousarray(columns[0])
+        t = np.require(columns[0], None, ("C", "A"))
         x, y, p = map(_narrow, columns[1:])
         return self._taken(lambda out: _kernels.event_columns(
             t, x, y, p, *self._info.sensor_size, clock.state, out),
@@ -302,7 +302,7 @@ def _narrow(column: NDArray[Any]) -> NDArray[np.int32]:
         column = np.minimum(column, column.dtype.type(1 << 30))
     elif column.dtype.itemsize > 4:
         column = np.clip(column, -1, 1 << 30)
-    return np.ascontiguousarray(column, np.int32)
+    return np.require(column, np.int32, ("C", "A"))
 
 
 def microseconds(t: NDArray[Any], unit: float) -> NDArray[np.int64]:
