@@ -100,3 +100,15 @@ def silence_tells_no_time(monkeypatch):
     than their stream's time has been said to be would be dropped, as late.
     """
     monkeypatch.setattr("pdavis_cv.live.dv.MARGIN_US", 1 << 60)
+
+
+@pytest.fixture
+def learns_from_little(monkeypatch):
+    """Let cameras be learned from a few samples, in tests of what is done with them."""
+    from pdavis_cv.pixel import learn, rows
+
+    monkeypatch.setattr(learn, "STARTS_US", (0,))
+    monkeypatch.setattr(learn, "MOST_SEARCHED", (400, 400))
+    monkeypatch.setattr(learn, "MOST_TRIED", 400)
+    monkeypatch.setattr(learn, "MOST_FURTHER", 400)
+    monkeypatch.setattr(rows, "MOST_ROWS", 1000)

@@ -100,6 +100,7 @@ def test_fan_measures_what_the_images_say_and_writes_the_video(
     assert measured >= 20
 
 
+@pytest.mark.gate
 def test_fan_takes_a_second_camera(tmp_path, wheel, monkeypatch, capsys):
     recording, _ = wheel
     opens_by(monkeypatch, opener({"a": recording, "b": recording}))
@@ -113,6 +114,7 @@ def test_fan_takes_a_second_camera(tmp_path, wheel, monkeypatch, capsys):
     assert heights[1] > heights[0] + 60
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("name", ["fruits_IMX250MZR.png", "camera_IMX250MZR.png"])
 def test_fan_shows_a_real_sony_mosaic_beside(
         tmp_path, wheel, monkeypatch, data_dir, name):
@@ -304,6 +306,7 @@ def test_amplitude_and_phase_of_any_speed_are_those_of_the_light(
     assert abs(np.rad2deg(off)) < 3 * row["phase_se_deg"] < 1.5
 
 
+@pytest.mark.gate
 def test_a_load_in_step_with_the_frames_is_refused_and_the_mean_written(
         tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
@@ -419,6 +422,7 @@ def glare(columns):
         events, frames, sensor_size=shape, layout=Layout.PDAVIS)
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("method", ["frames", "cf", "kalman"])
 @pytest.mark.parametrize("columns", [20, 40])
 def test_what_saturates_every_frame_is_white(tmp_path, monkeypatch, method, columns):

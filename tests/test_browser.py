@@ -359,6 +359,7 @@ def test_videos_play_in_a_browser(browser, tmp_path, suffix):
     page.close()
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])
 def test_animations_are_shown_in_a_browser(browser, tmp_path, suffix):
     with AnimationFile(tmp_path / f"clip{suffix}", 25, {"method": "none"}) as file:

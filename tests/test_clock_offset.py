@@ -131,6 +131,7 @@ def test_a_calibration_keeps_it(early, tmp_path):
         known.replace(clock_offset_us=np.nan)
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("causal", [False, True])
 def test_the_camera_is_learned_with_the_stated_offset(early, causal):
     """Frames that are taken to be right when they are early hide the thresholds."""

@@ -12,6 +12,8 @@ import pdavis_cv
 from pdavis_cv import ApsFrame, Layout, fuse, recording_from_arrays
 from pdavis_cv.fusion import Fusion
 
+pytestmark = pytest.mark.usefixtures("learns_from_little")
+
 THETA = (0.15, 0.15)
 
 

@@ -119,6 +119,7 @@ def test_harmonics_of_the_light_return():
     assert got.phase[1] == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.gate
 def test_the_stated_errors_are_those_of_many_trials():
     found = [fitted(wave(4.3), 4.3, noise=0.01, seconds=6.0, seed=seed)
              for seed in range(100)]

@@ -64,6 +64,7 @@ def test_without_change_the_estimate_is_the_nominal_value(nominal):
     assert np.all(found.sigma[0] > 0.05)
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize(("preset", "scene", "rpm", "s0"), [
     ("nominal", RotatingPlate, 30.4, 30.0), ("realistic", RotatingPlate, 60.8, 30.0),
     ("hard", RotatingPlate, 60.8, 1.08), ("nominal", RotatingPolarizer, 30.4, 1.08)])
@@ -84,6 +85,7 @@ def test_too_little_gives_the_prior():
     assert np.all(found.sigma / found.thetas > 0.5)     # stated by nobody
 
 
+@pytest.mark.gate
 def test_frames_are_corrected_by_the_calibration_first(nominal):
     camera, recording, _ = nominal
     known = Calibration(sensor_size=(8, 8), dark=camera.maps["dark_dn"] + 30)

@@ -24,6 +24,8 @@ from pdavis_cv.fusion.iteration import DEPTH, ReadAhead
 from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.simulation import FULL, Camera, RotatingPolarizer
 
+pytestmark = pytest.mark.usefixtures("learns_from_little")
+
 PATIENCE_S = 60     # longer than a loaded machine takes; nothing is asserted of time
 
 

@@ -82,6 +82,7 @@ def test_one_sigma_covers_about_two_thirds_of_the_errors(recorded, camera, optio
     assert score.aop < np.deg2rad(1.1)
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize(("mode", "aop_deg", "dolp"), [
     ("buffered", 0.5, 0.010), ("offline", 0.35, 0.007)])
 def test_a_complete_calibration_takes_the_pixels_differences_out(
@@ -96,6 +97,7 @@ def test_a_complete_calibration_takes_the_pixels_differences_out(
     assert 0.5 < score.dolp_coverage < 0.95
 
 
+@pytest.mark.gate
 def test_frames_after_a_time_make_offline_images_better(recorded):
     camera = Camera.preset("nominal", seed=5, size=(12, 12))
     calibration = Calibration(**camera.exact_calibration(), bandwidth_hz=250.0)

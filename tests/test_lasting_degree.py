@@ -251,6 +251,7 @@ def test_the_kernel_of_frames_refuses_what_does_not_fit(change):
         _kernels.degree_frame(**given | change)
 
 
+@pytest.mark.gate
 def test_a_polarizer_before_a_camera_that_loses_events_has_the_degree_of_frames(
         monkeypatch):
     camera = Camera.preset("nominal", seed=31, size=(12, 12), faults={"lost": 0.1})

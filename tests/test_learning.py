@@ -61,6 +61,7 @@ def test_thresholds_are_learned_as_the_stream_passes(realistic):
     assert np.all(np.sqrt(np.diag(after.theta_cov)) < 0.1 * after.theta)
 
 
+@pytest.mark.gate
 def test_a_calibration_s_bandwidth_is_kept(realistic):
     recording, _ = realistic
     known = Calibration(sensor_size=(8, 8), bandwidth_hz_per_dn=10.0)
@@ -151,6 +152,7 @@ def counted(monkeypatch):
     return made
 
 
+@pytest.mark.gate
 def test_a_beginning_is_looked_at_once_per_recording_and_question(
         realistic, monkeypatch):
     recording = cut(realistic[0], 800_000)
@@ -189,6 +191,7 @@ def test_nothing_is_read_or_learned_before_the_first_image(realistic, monkeypatc
     assert (len(made), len(read)) == (1, 2)
 
 
+@pytest.mark.gate
 def test_cf_learns_thresholds_as_the_stream_passes():
     """Stated too low by half."""
     made, _ = Camera.preset("nominal", seed=4, size=(8, 8)).record(

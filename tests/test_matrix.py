@@ -251,6 +251,7 @@ def test_thresholds_that_nobody_stated_are_assumed(stated, assumed):
     assert found == (["thresholds assumed (ON 0.2, OFF 0.2)"] if assumed else [])
 
 
+@pytest.mark.gate
 def test_an_assumed_rate_is_said_beside_what_it_changes(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     tifffile = pytest.importorskip("tifffile")

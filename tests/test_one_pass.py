@@ -20,6 +20,8 @@ from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.reconstruct.base import nbytes
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 
+pytestmark = pytest.mark.usefixtures("learns_from_little")
+
 NOMINAL = (0.16, 0.18)
 MODEL = PixelModel(theta=np.array([0.18, 0.16]))
 METHODS = [

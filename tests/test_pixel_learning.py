@@ -41,6 +41,7 @@ def of(seed, **dvs):
         dvs={"theta_on": 0.23, "theta_off": 0.27, "cutoff_hz": 180.0, **dvs})
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize(("rpm", "dolp"), [(200, 0.5), (500, 1.0), (1000, 0.3)])
 def test_thresholds_and_clock_are_within_three_of_their_sigmas(rpm, dolp):
     camera = of(1300)
@@ -202,6 +203,7 @@ def test_a_known_clock_offset_is_used_and_not_learned():
     assert told < wrong
 
 
+@pytest.mark.gate
 def test_what_was_learned_does_not_depend_on_what_was_fused_before():
     """Each look-ahead has its own weights, though both read the same recording."""
     recording, _ = of(1006).record(RotatingPolarizer(rpm=200), 1.5)

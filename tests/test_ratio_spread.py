@@ -164,6 +164,7 @@ def test_kalman_hands_it_on_where_frames_saturate(light, sigma):
     assert copy._saturated._method.parameters["ratio_sigma"] == sigma
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize("causal", [True, False])
 def test_kalman_learns_it_unless_it_is_stated(causal):
     recording, sigma = taken(0.15, seconds=1.5)
