@@ -236,10 +236,10 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
     """Bring the planes of the listed pixels up to date for a read.
 
     frames is (frame before, frame after or None, middles, whether that is the last,
-    anchors, back, epoch), times (t, known, whether all frames are new).  Of the list, the entries first <= i < last
-    are processed, and of these, pixels that are due at t; due becomes when they are
-    next.  around receives what the counts of each weigh, less that at the frame before,
-    by way of courses; None: nothing is weighed.
+    anchors, back, epoch), times (t, known, whether all frames are new).  Of the list,
+    the entries first <= i < last are processed, and of these, pixels that are due at
+    t; due becomes when they are next.  around receives what the counts of each weigh,
+    less that at the frame before, by way of courses; None: nothing is weighed.
 
     Between events, and farther than all lags from them, a pixel's value is interpolated
     between times since the event that grow by `KNOT`: an image does not depend on which

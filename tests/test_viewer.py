@@ -17,11 +17,9 @@ import pytest
 
 import pdavis_cv
 from pdavis_cv import Layout, serve
-from pdavis_cv.data import example_recording
 from pdavis_cv.live import Session
 from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.simulation import Camera, RotatingPolarizer
-from pdavis_cv.tools.main import main
 from pdavis_cv.viewer import handler, server, site
 from pdavis_cv.viewer.panes import NONE, pane, planes
 from pdavis_cv.viewer.regions import values
@@ -588,23 +586,3 @@ def test_a_signal_ends_the_command_and_finishes_its_recording(tmp_path):
     assert [left.name for left in tmp_path.iterdir()] == [path.name]
     with pdavis_cv.open_recording(path, layout=Layout.PDAVIS) as recording:
         assert recording.info.event_count >= 100
-
-
-def test_the_command_serves_until_it_is_told_to_end(monkeypatch, capsys):
-    def interrupted(self):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(server.Server, "wait", interrupted)
-    where = "simulate:polarizer?size=4x4&rpm=600"
-    assert main(["view", where, "--layout", "pdavis", "--port", "0", "--no-browser",
-                 "--method", "cf"]) == 0
-    assert capsys.readouterr().out.startswith("http://127.0.0.1:")
-    assert main(["view", where, "--layout", "pdavis", "--port", "0", "--no-browser",
-                 "--method", "cf", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["url"].startswith("http://127.0.0.1:")
-    assert main(["view", where, "--layout", "pdavis", "--start", "1",
-                 "--no-browser"]) == 2
-    assert "--start and --stop need a recording" in capsys.readouterr().err
-    assert main(["view", str(example_recording()), "--layout", "pdavis", "--record",
-                 "x.aedat4", "--no-browser"]) == 2
-    assert "--record needs a live source" in capsys.readouterr().err

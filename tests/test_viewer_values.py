@@ -1,5 +1,6 @@
-"""The numbers of the viewer: messages, colours, contrast, and values of regions."""
+"""What the viewer and its command say: messages, colours, contrast, values."""
 import io
+import json
 import struct
 import types
 
@@ -7,6 +8,9 @@ import numpy as np
 import pytest
 
 from pdavis_cv import Layout, PolarFrame, demosaic, render
+from pdavis_cv.data import example_recording
+from pdavis_cv.tools.main import main
+from pdavis_cv.viewer import server
 from pdavis_cv.viewer.panes import levels_of, palettes, pane, planes
 from pdavis_cv.viewer.regions import values
 from pdavis_cv.viewer.socket import MOST_REQUEST, received
@@ -102,3 +106,23 @@ def test_a_message_of_any_length_is_received(length):
     assert received(file) == bytes((ord("y") ^ ord("."),))
     with pytest.raises(ValueError, match="at most"):
         received(io.BytesIO(b"\x81\xff" + struct.pack(">Q", MOST_REQUEST + 1)))
+
+
+def test_the_command_serves_until_it_is_told_to_end(monkeypatch, capsys):
+    def interrupted(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(server.Server, "wait", interrupted)
+    where = "simulate:polarizer?size=4x4&rpm=600"
+    assert main(["view", where, "--layout", "pdavis", "--port", "0", "--no-browser",
+                 "--method", "cf"]) == 0
+    assert capsys.readouterr().out.startswith("http://127.0.0.1:")
+    assert main(["view", where, "--layout", "pdavis", "--port", "0", "--no-browser",
+                 "--method", "cf", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["url"].startswith("http://127.0.0.1:")
+    assert main(["view", where, "--layout", "pdavis", "--start", "1",
+                 "--no-browser"]) == 2
+    assert "--start and --stop need a recording" in capsys.readouterr().err
+    assert main(["view", str(example_recording()), "--layout", "pdavis", "--record",
+                 "x.aedat4", "--no-browser"]) == 2
+    assert "--record needs a live source" in capsys.readouterr().err

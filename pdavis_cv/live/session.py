@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Self, Unpack, overload
 
 import numpy as np
@@ -53,6 +53,7 @@ LEAST_IMAGES_S = 0.04
 """Host time after the last image from which on the next one is made even if it is late,
 s.  Engineering choice."""
 
+
 class _Arriving(Source):
     """The source that fusing reads: the packets of a session's inbox."""
 
@@ -74,23 +75,6 @@ class _Arriving(Source):
 
     def close(self) -> None:
         """Nothing to release."""
-
-
-class _Tap:
-    """An iterator that also passes each packet to a function."""
-
-    def __init__(
-        self, packets: Iterator[Packet], look: Callable[[Packet], None]
-    ) -> None:
-        self._packets, self._look = packets, look
-
-    def __iter__(self) -> Iterator[Packet]:
-        return self
-
-    def __next__(self) -> Packet:
-        packet = next(self._packets)
-        self._look(packet)
-        return packet
 
 
 @names_options(FusionOptions, SourceOptions, rest="method_parameters")
@@ -207,7 +191,7 @@ class Session:
 
     def _fusion_of(self, options: FusionOptions) -> Fusion:
         return Fusion(_Arriving(
-            self.info, _Tap(self._inbox, self._keep), self._lossy), options)
+            self.info, map(self._kept, self._inbox), self._lossy), options)
 
     # ---- reading -----------------------------------------------------------------
 
@@ -481,14 +465,15 @@ class Session:
 
     # ---- what is known ---------------------------------------------------------------
 
-    def _keep(self, packet: Packet) -> None:
+    def _kept(self, packet: Packet) -> Packet:
         if not len(packet.events):
-            return
+            return packet
         with self._seen_lock:
             self._seen.append(packet)
             newest = int(packet.events["t"][-1])
             while newest - int(self._seen[0].events["t"][-1]) > KEPT_EVENTS_US:
                 self._seen.popleft()
+        return packet
 
     def events(self, after_us: int, until_us: int) -> Events:
         """Return the events in (after_us, until_us], if within the last 0.2 s fused.

@@ -239,7 +239,8 @@ def learn(
     if not every.whole.all():
         # Light moves on where events are missing.
         rows = _rows(data, past, every, _with(fit, noise=model.noise))
-        model = model.replace(noise=_noise(rows, fit.model))
+        model = model.replace(noise=fitted_noise(
+            rows, fit.model, _residual(rows, fit.model)))
     return LearnedPixels(model=model, clock_offset_us=fit.shift_us, gains=fit.gains,
                          sigmas=fit.sigmas)
 
@@ -303,7 +304,9 @@ def _fitted(
     starts = [tried(_changed(fit, shift_us=float(start)), (), 2, few)
               for start in STARTS_US] if "shift" in numbers else []
     starts.sort(key=lambda one: one.per_row)
-    starts = [tried(one, (), 2) for one in _apart(starts)]
+    apart = [one for one in starts              # of another minimum
+             if abs(one.shift_us - starts[0].shift_us) > 3000]
+    starts = [tried(one, (), 2) for one in [*starts[:1], *apart[:1]]]
     likeliest = min([first, *starts], key=lambda one: one.per_row)
     effect = _effect(data, pairs, likeliest)
     first, *starts = (tried(_changed(one, effect=effect), (), 0)
@@ -402,12 +405,6 @@ def _losses(
     return 2 * (np.sqrt(1 + error) - 1), rows.blur < STEADY
 
 
-def _apart(fits: Sequence[_Fit]) -> list[_Fit]:
-    """Return the first of some fits, and the next of another minimum."""
-    others = [one for one in fits[1:] if abs(one.shift_us - fits[0].shift_us) > 3000]
-    return [*fits[:1], *others[:1]]
-
-
 def _effect(data: Sampled, pairs: Pairs, fit: _Fit) -> float:
     """Return the design effect at a fit."""
     rows = _rows(data, _past(data, fit.model), pairs, fit)
@@ -468,7 +465,8 @@ def _descended(
     for turn in range(rounds + 1):
         rows = _rows(data, past, pairs, fit)
         if turn:
-            fit = _with(fit, noise=_noise(rows, fit.model))
+            fit = _with(fit, noise=fitted_noise(
+                rows, fit.model, _residual(rows, fit.model)))
             fit = _with_gains(rows, fit, steps)
             rows = _rows(data, past, pairs, fit)
         fit = _likelihood(rows, fit, priors, free if prior is None else prior)
@@ -521,10 +519,6 @@ def _design_effect(
         information)
     return float(max((COMMON_ERROR * COMMON_PAIRS + ratio * number) / (
         COMMON_PAIRS + number), 1.0))
-
-
-def _noise(rows: Rows, model: PixelModel) -> tuple[float, float, float]:
-    return fitted_noise(rows, model, _residual(rows, model))
 
 
 def _with_gains(rows: Rows, fit: _Fit, steps: int) -> _Fit:
