@@ -1,5 +1,6 @@
 """Limits: files that would take memory or work out of proportion are refused."""
 import bz2
+import itertools
 import struct
 import subprocess
 import sys
@@ -203,8 +204,34 @@ def test_times_may_not_lie_further_apart_than_the_limit(tmp_path):
     with open_recording(path, limits=Limits(time_span=10**8)) as recording:
         with pytest.raises(RecordingError, match="time_span=1e"):
             list(recording.packets())
+        with pytest.raises(RecordingError, match="time_span=1e"):
+            recording.events()
     with open_recording(path) as recording:
         assert sum(len(packet.events) for packet in recording.packets()) == 2
+
+
+@pytest.mark.parametrize("far", [1 << 53, 1 << 60])
+def test_a_window_of_far_times_is_a_part_of_the_whole(far, tmp_path):
+    """A few times and many more, centuries later, agree among themselves."""
+    def from_packets(recording, *window):
+        return np.concatenate([[], *(
+            packet.events["t"] for packet in recording.packets(*window))])
+
+    path = tmp_path / "a.aedat4"
+    times = np.r_[[213_573, 314_846, 627_075, 1_323_488, 1_508_357],
+                  far + 10 * np.arange(46)]
+    path.write_bytes(aedat4([(0, events(times[:20])), (0, events(times[20:]))]))
+    with open_recording(path) as recording:
+        whole = recording.events()["t"]
+        assert len(whole) > 40
+        assert whole[0] < far < whole[-1]
+        np.testing.assert_array_equal(from_packets(recording), whole)
+        for start, stop in itertools.combinations([0, *whole[::5], far + 10**6], 2):
+            part = whole[(whole >= start) & (whole < stop)]
+            with open_recording(path) as fresh:
+                for one in (recording, fresh):
+                    np.testing.assert_array_equal(one.events(start, stop)["t"], part)
+                    np.testing.assert_array_equal(from_packets(one, start, stop), part)
 
 
 @pytest.mark.parametrize(("suffix", "step"), [("aedat4", 24), ("aedat", 60)])

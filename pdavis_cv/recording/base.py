@@ -246,11 +246,10 @@ def joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """
     out = np.empty(sum(map(len, parts)), parts[0].dtype)
     # Copy bytes, as NumPy copies packed structures field by field.
-    data, at = out.view(np.uint8), 0
+    data, at = out.view(np.uint8).data, 0
     for part in parts:
-        end = at + part.nbytes
-        data[at:end] = part.view(np.uint8)
-        at = end
+        data[at:at + part.nbytes] = part.view(np.uint8).data
+        at += part.nbytes
     return out
 
 

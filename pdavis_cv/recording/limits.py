@@ -8,6 +8,7 @@ from typing import Any
 
 from pdavis_cv._remote import RemotePath, as_path
 from pdavis_cv.errors import RecordingError
+from pdavis_cv.events import FAR
 
 __all__ = ["Budget", "Limits"]
 
@@ -31,7 +32,7 @@ class Limits:
     work_per_byte : float
         Bytes that may be searched for packets in a damaged file, per byte of it.
     time_span : int
-        Largest difference of times in a recording, us.
+        Largest difference of times in a recording, us; by default any.
 
     Raises
     ------
@@ -42,7 +43,7 @@ class Limits:
     memory: int = 512 << 20
     ratio: float = 100
     work_per_byte: float = 4
-    time_span: int = 100 * 366 * 86_400 * 1_000_000
+    time_span: int = 2 * FAR
 
     def __post_init__(self) -> None:
         for one in dataclasses.fields(self):

@@ -107,7 +107,7 @@ def packetise(
                 taken += samples.nbytes
         frames.extend(f for f in batch.frames if f.available_us >= begin)
         while True:
-            at = min(queue.next_us for queue in queues)
+            at = min(events.next_us, imu.next_us, triggers.next_us)
             if frames:
                 at = min(at, frames[0].available_us)
             if at >= end or at == END_OF_TIME:
@@ -132,8 +132,8 @@ def packetise(
             return
         if budget is not None:
             budget.total(taken)
-            budget.waiting(sum(queue.nbytes for queue in queues) + len(frames) * (
-                _PIXEL * math.prod(frames[0].shape) if frames else 0))
+            budget.waiting(events.nbytes + imu.nbytes + triggers.nbytes + (
+                _PIXEL * len(frames) * math.prod(frames[0].shape) if frames else 0))
 
 
 def _cut(packet: Packet, first: int, end: int) -> Packet:

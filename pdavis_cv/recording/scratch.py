@@ -96,7 +96,7 @@ class Gathering(Scratch):
         if lo < hi:
             self._budget.total((self._end + hi) * events.itemsize)
             self.reserve(hi)
-            if not np.may_share_memory(events, self._all):
+            if events.base is not self._all:
                 copy_rows(events[:hi], self._all[self._end:self._end + hi])
             if self._first == self._end:
                 self._first += lo
@@ -106,9 +106,12 @@ class Gathering(Scratch):
     @property
     def events(self) -> NDArray[Any]:
         """The events that were kept, EVENT_DTYPE, shape (N,)."""
-        return self._all[self._first:self._end]
+        events = self._all[self._first:self._end]
+        for t_us in events["t"][[0, -1]].tolist() if len(events) else ():
+            self._budget.time(t_us)
+        return events
 
 
 def copy_rows(events: NDArray[Any], out: NDArray[Any]) -> None:
     """Copy by bytes, as NumPy copies packed structures field by field."""
-    out.view(np.uint8)[:] = events.view(np.uint8)
+    np.frombuffer(out, np.uint8)[:] = np.frombuffer(events, np.uint8)

@@ -177,11 +177,10 @@ class Clock:
         if self._held is not None:
             samples = joined((self._held, samples))
         self.state[OUTSIDE:BEFORE] = 0, 0, -1
-        times, n = samples["t"], len(samples)
+        times, last, n = samples["t"].tolist(), self.last, len(samples)
         if n and not self.state[OFFSET] and (   # as usual
-                0 <= int(times[0]) - self.last < SEGMENT_US
-                and int(times[-1]) - self.last < SEGMENT_US
-                and np.all(times[1:] >= times[:-1])):
+                last <= times[0] and times[-1] < last + SEGMENT_US
+                and times == sorted(times)):
             accepted = n if final else max(n - self._reach, self._accepted)
             done = accepted if final else max(accepted - self._most_held, 0)
             self._accepted = accepted - done
@@ -189,7 +188,7 @@ class Clock:
                 if count:
                     self.state[place] = times[count - 1]
         else:
-            rows = _rows(times)
+            rows = _rows(samples["t"])
             left, done = self._settle(rows, n, final)
             samples = samples[_indices(rows[:left])]
             samples["t"] = rows["t"][:left]

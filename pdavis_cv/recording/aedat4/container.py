@@ -374,11 +374,10 @@ def decompressed(payload: bytes | memoryview, compression: str, budget: Budget
     """
     if compression == "none":
         return bytes(payload)
-    if compression.startswith("ZSTD"):
-        data = _unpack_zstd(bytes(payload), budget.most(len(payload)))
-    else:
-        data = _unpack_lz4(payload, budget.most(len(payload)))
-    if _declared(data) > len(data):
+    most = budget.most(len(payload))
+    data = (_unpack_zstd(bytes(payload), most) if compression.startswith("ZSTD")
+            else _unpack_lz4(payload, most))
+    if len(data) >= most:
         budget.piece(_declared(data), "a packet", len(payload))
     return data
 

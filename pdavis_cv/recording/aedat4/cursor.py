@@ -88,6 +88,7 @@ class Cursor:
         self._before = NEVER, NEVER
         self._ahead: dict[int, tuple[bytes, Table]] = {}
         self._raw: dict[int, samples.RawFrame] = {}
+        self.last = NEVER
 
     @property
     def mark(self) -> Mark:
@@ -97,6 +98,7 @@ class Cursor:
     def go_to(self, mark: Mark) -> None:
         """Move to a position from `mark` of another cursor of this stream."""
         _, self.next, self.clock, self._before = mark
+        self.last = self.clock.last
 
     def pull(self) -> Any:
         """Return the next samples that are certain, None at the end."""
@@ -114,6 +116,7 @@ class Cursor:
                 self._file.lost(entry, error)
                 continue
             self._count(entry, final, jumps)
+            self.last = self.clock.last
             return self._frames(got) if self.kind == "FRME" else got
         return None
 
@@ -154,10 +157,9 @@ class Cursor:
             got = self._decoded(number)
             if self._trusted:
                 first, last = self._neighbours(number)
-                good = (got["t"] >= first) & (got["t"] <= last)
-                if not good.all():
-                    self._dropped(
-                        self._entries[number], "index", np.count_nonzero(~good))
+                good = [first <= t <= last for t in got["t"].tolist()]
+                if not all(good):
+                    self._dropped(self._entries[number], "index", good.count(False))
                     got = got[good]
         return self.clock.order(got, final=final)
 

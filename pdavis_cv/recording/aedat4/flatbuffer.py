@@ -126,7 +126,8 @@ def table_fields(
 
 
 def _get(code: struct.Struct, data: bytes | memoryview, at: int) -> int:
-    if at < 0 or at + code.size > len(data):
-        raise PayloadError(f"offset {at} points outside {len(data)} bytes")
-    value: int = code.unpack_from(data, at)[0]
+    try:
+        value: int = code.unpack_from(data, at if at >= 0 else len(data))[0]
+    except struct.error:
+        raise PayloadError(f"offset {at} points outside {len(data)} bytes") from None
     return value

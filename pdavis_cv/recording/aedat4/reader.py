@@ -219,14 +219,14 @@ class Aedat4Recording(PiecewiseRecording):
                 while (got := cursor.pull()) is not None:
                     yield Batch(got), 0.0
             return
+        cursor = min(cursors, key=lambda c: c.last)
         while cursors:
             if not self._trusted:
                 # Later readings can resume here.
-                newest = max(newest, *(cursor.clock.last for cursor in cursors))
+                newest = max(newest, *(cursor.last for cursor in cursors))
                 self._marks.note(
                     pulls, newest, (pulls, newest, [cursor.mark for cursor in cursors]))
                 pulls += 1
-            cursor = min(cursors, key=lambda c: c.clock.last)
             got = cursor.pull()
             if got is None:
                 cursors.remove(cursor)
@@ -234,7 +234,8 @@ class Aedat4Recording(PiecewiseRecording):
             else:
                 batch = Batch(**{_FIELDS[cursor.kind]: got})
             if cursors:
-                batch.complete_us = min(c.clock.last for c in cursors)
+                cursor = min(cursors, key=lambda c: c.last)
+                batch.complete_us = cursor.last
             yield batch, 0.0
 
     def _begin(self, start_us: int | None, memory: Scratch, frames: bool
