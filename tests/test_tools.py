@@ -20,8 +20,6 @@ from pdavis_cv.data import example_recording
 from pdavis_cv.tools import _common, _progress, demo, export
 from pdavis_cv.tools.main import COMMANDS, main
 
-pytestmark = pytest.mark.usefixtures("learns_from_little")
-
 SAMPLE = str(example_recording())
 
 

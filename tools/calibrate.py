@@ -173,16 +173,17 @@ def _sweep(
     fit = _fit(_steps(recordings[0], args) if args.angles is None else
                zip(np.deg2rad(args.angles), recordings, strict=True), known)
     page = Page("Analyser matrix from a polarizer sweep")
+    of = "" if args.wavelength_nm is None else f" at {args.wavelength_nm:g} nm"
     for angle, place in zip(CHANNELS, layout.places, strict=True):
         part = np.s_[place // 2::2, place % 2::2]
         off = np.rad2deg((fit.angle[part] - np.deg2rad(angle) + np.pi / 2) % np.pi
                          - np.pi / 2)
-        page.say(f"{angle} deg",
+        page.say(f"{angle} deg{of}",
                  f"extinction ratio {np.median(fit.extinction_ratio[part]):.2f} "
                  f"(error of one {np.median(fit.extinction_ratio_sigma[part]):.2f}), "
                  f"angle {angle + np.median(off):.2f} +- {np.std(off):.2f} deg "
                  f"(error of one {np.rad2deg(np.median(fit.angle_sigma)):.3f})")
-    page.say("lamp polarization", f"{100 * np.hypot(*fit.source):.2f} %, "
+    page.say(f"lamp polarization{of}", f"{100 * np.hypot(*fit.source):.2f} %, "
              f"beam wander {100 * np.hypot(*fit.wander):.2f} %")
     page.say("response of the cell", f"condition number {_condition(fit, layout):.2f} "
              "(ideal 1.41)")

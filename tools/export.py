@@ -323,9 +323,11 @@ class Sheet:
                          style=self.style)
             for one, panel in zip(pictures, self.panels, strict=True)],
             columns=self.columns, title=self._title(frame).rstrip(), style=self.style)
-        # The pictures of a video have one size: a title that grows is cut at the edge.
+        # The pictures of a video have one size, whatever the length of the title.
         self._width = self._width or sheet.shape[1]
-        return sheet[:, :self._width]
+        missing = max(self._width - sheet.shape[1], 0)
+        return np.pad(sheet, ((0, 0), (0, missing), (0, 0)),
+                      constant_values=self.style.ground)[:, :self._width]
 
     def _enlarged(self, picture: Picture, scale: int) -> Picture:
         picture = picture.repeat(scale, 1).repeat(scale, 0)
