@@ -565,3 +565,10 @@ def test_the_samples_index_without_counts_is_not_believed():
         report = recording.scan()
         assert 0 < report.stop_us - recording.info.start_us < 300_000
         assert report.problems == ()
+
+
+def test_pictures_of_a_video_keep_their_width_when_a_title_gets_shorter(
+        tmp_path, monkeypatch):
+    titles = iter(["a title that is wider than its picture " * 4])
+    monkeypatch.setattr(export.Sheet, "_title", lambda self, frame: next(titles, "t"))
+    assert run("export", SAMPLE, "-o", tmp_path / "x.webm", "--fps", "20") == 0
