@@ -135,6 +135,15 @@ def test_a_strict_reader_names_the_first_bad_event(tmp_path):
         recording.events()
 
 
+def test_a_strict_reader_names_an_event_before_its_predecessor(tmp_path):
+    rows = [(10 * k, 1, 1, 1) for k in range(1, 40)]
+    rows[20] = 5, 1, 1, 1
+    (tmp_path / "x").write_bytes(jaer_file([jaer_events(rows)]))
+    with (pytest.raises(RecordingError, match=r"event 20 of the packet at \(t=5"),
+          open_recording(tmp_path / "x", bad_events="raise") as recording):
+        recording.events()
+
+
 def test_a_closed_recording_is_refused(recording, tmp_path):
     if recording.path is None:
         pytest.skip("memory stays")

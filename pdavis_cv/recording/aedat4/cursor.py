@@ -40,8 +40,10 @@ KEPT_BYTES = 1 << 22
 
 Mark = tuple[str, int, Clock, tuple[int, int]]
 """Kind and number of a packet, clock before it, middle and end of the last frame."""
+_Times = tuple[int, int, int, int, int, int]
 _DTYPES = {"FRME": np.dtype([("t", "<i8"), ("number", "<i8")]), "IMUS": IMU_DTYPE,
            "TRIG": TRIGGER_DTYPE}
+_EVENT = np.dtype([("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "u1"), ("", "V3")])
 _NAMES = {"EVTS": "events", "FRME": "frames", "IMUS": "IMU samples", "TRIG": "triggers"}
 
 
@@ -68,6 +70,13 @@ class Cursor:
         True to raise at the first bad sample.
     memory : Scratch
         Provides memory for the events.
+    known : dict
+        Times of the frames that have been read, by packet; frames are added.
+
+    Attributes
+    ----------
+    begins : int
+        Of frames before this packet only the times are needed.
     """
 
     def __init__(
@@ -75,6 +84,7 @@ class Cursor:
         timeline: Timeline | None, *, size: tuple[int, int],
         scale: samples.FrameScale | None = None, jaer: bool = False,
         strict: bool = False, memory: Scratch,
+        known: dict[int, _Times],
     ) -> None:
         self.kind = kind
         reach, held = (2, 2) if kind == "FRME" else (
@@ -89,6 +99,7 @@ class Cursor:
         self._ahead: dict[int, tuple[bytes, Table]] = {}
         self._raw: dict[int, samples.RawFrame] = {}
         self.last = NEVER
+        self.begins, self._known = 0, known
 
     @property
     def mark(self) -> Mark:
@@ -126,7 +137,7 @@ class Cursor:
         All before lie before them, whatever is damaged there.
         """
         try:
-            times = self._decoded(number)["t"]
+            times = self._decoded(number, keep=True)["t"]
         except PayloadError:
             return 0
         first, last = self._neighbours(number)
@@ -143,11 +154,31 @@ class Cursor:
         at, count = samples.event_vector(table)
         bounds = self._neighbours(number) if self._trusted else self._possible(
             _times(data, at, count))
-        state = self.clock.state
+        state, jumps = self.clock.state, self.clock.jumps
         out = self.clock.room(self._memory, count)
         _kernels.aedat4_events(np.frombuffer(data, np.uint8), at, count, *self._size,
                                self._jaer, *bounds, state, out)
-        return self.clock.settled(out)
+        got = self.clock.settled(out)
+        if self._strict and (state[OUTSIDE] or state[BACKWARD]):
+            self._refuse(entry, np.ndarray((count,), _EVENT, data, at), bounds,
+                         falls=self.clock.jumps == jumps)
+        return got
+
+    def _refuse(self, entry: Entry, events: NDArray[Any], bounds: tuple[int, int], *,
+                falls: bool) -> None:
+        """Raise for the first bad event, unless it lies in a packet before."""
+        t, (first, last), (height, width) = events["t"], bounds, self._size
+        backward = (t < first) | (t > last)
+        if falls:
+            backward[1:] |= t[1:] < t[:-1]
+        x, y, p = (events[name] for name in "xyp")
+        bad = backward | (x < 0) | (x >= width) | (y < 0) | (y >= height) | (p > 1)
+        for i in np.flatnonzero(bad)[:1].tolist():
+            raise RecordingError(
+                f"{self._file.reader.path}: byte {entry.offset - 8}: event {i} of the "
+                f"packet at (t={t[i]}, x={x[i]}, y={y[i]}, p={p[i]}) "
+                + ("does not agree in time with those around it" if backward[i] else
+                   "lies outside the sensor"))
 
     def _samples(self, number: int, *, final: bool) -> NDArray[Any]:
         """Return IMU samples, triggers, or times and numbers of frames."""
@@ -163,14 +194,16 @@ class Cursor:
                     got = got[good]
         return self.clock.order(got, final=final)
 
-    def _decoded(self, number: int) -> NDArray[Any]:
+    def _decoded(self, number: int, *, keep: bool = False) -> NDArray[Any]:
         """Return the samples of a packet; of a frame, time and number of the packet."""
         entry = self._entries[number]
+        if (known := self._times_of(number)) is not None:
+            available = samples.exposure_times(known, jaer=self._jaer)[2]
+            return np.array([(available, number)], _DTYPES[self.kind])
+        data, table = self._table(entry, keep=keep)
         if self.kind == "EVTS":
-            data, table = self._table(entry)
             times = _times(data, *samples.event_vector(table))
             return np.asarray(times).view([("t", "<i8")])
-        data, table = self._file.table(entry)
         if self.kind in ("IMUS", "TRIG"):
             self._file.budget.piece(
                 _SAMPLE * table.vector(0, 4)[1], "a packet of samples")
@@ -186,9 +219,17 @@ class Cursor:
         available = samples.exposure_times(raw.times, jaer=self._jaer)[2]
         return np.array([(available, number)], _DTYPES[self.kind])
 
-    def _table(self, entry: Entry) -> tuple[bytes, Table]:
-        """Return a packet of events, which may have been examined before."""
-        return self._ahead.pop(entry.offset, None) or self._file.table(entry)
+    def _times_of(self, number: int) -> _Times | None:
+        """Return the times of a frame of which no more is needed, if they are known."""
+        return self._known.get(number) if (
+            self.kind == "FRME" and number < self.begins) else None
+
+    def _table(self, entry: Entry, *, keep: bool = False) -> tuple[bytes, Table]:
+        """Return a packet, which may have been examined before, or is to be again."""
+        found = self._ahead.pop(entry.offset, None) or self._file.table(entry)
+        if keep and len(found[0]) <= KEPT_BYTES:
+            self._ahead[entry.offset] = found
+        return found
 
     def _neighbours(self, number: int) -> tuple[int, int]:
         """Return the range of times of a packet, from an index that is trusted.
@@ -217,9 +258,7 @@ class Cursor:
         found: list[NDArray[np.int64]] = []
         for entry in self._entries[self.next:self.next + 2 * LOOK_AHEAD]:
             with contextlib.suppress(PayloadError):
-                data, table = self._table(entry)
-                if len(data) <= KEPT_BYTES:
-                    self._ahead[entry.offset] = data, table
+                data, table = self._table(entry, keep=True)
                 at, count = samples.event_vector(table)
                 if count:
                     found.append(_times(data, at, count))
@@ -232,6 +271,12 @@ class Cursor:
         found = []
         for t, number in places.tolist():
             entry = self._entries[number]
+            if (known := self._times_of(number)) is not None:
+                soe, eoe, available = samples.exposure_times(known, jaer=self._jaer)
+                mid = (soe + eoe) // 2 + t - available
+                if mid > self._before[0] and t > self._before[1]:
+                    self._before = mid, t
+                continue
             raw = self._raw.get(number) or samples.raw_frame(*self._file.table(entry))
             self._raw = {k: one for k, one in self._raw.items() if k > number}
             if raw.colour:
@@ -260,6 +305,7 @@ class Cursor:
                 self._file.lost(entry, error)
                 continue
             self._before = mid, t
+            self._known[number] = raw.times
             found.append(frame)
         return found
 

@@ -47,6 +47,7 @@ class Aedat4Recording(PiecewiseRecording):
         self._file = Aedat4File(self._bytes(), self._log, self._budget)
         self._streams = self._choose(options.camera)
         self._marks = Marks(MARK_PULLS)
+        self._frame_times: dict[int, tuple[int, int, int, int, int, int]] = {}
         self._jaer = any(s.attributes.get("originalModuleName") == "jAER"
                          for s in self._streams.values())
         self._size: tuple[int, int] = self._sensor_size(self._stated_size()).value
@@ -268,7 +269,8 @@ class Aedat4Recording(PiecewiseRecording):
     def _cursor(self, kind: str, timeline: Timeline | None, memory: Scratch) -> Cursor:
         return Cursor(
             self._file, kind, self._streams[kind].entries, timeline, size=self._size,
-            scale=self._scale, jaer=self._jaer, strict=self._strict, memory=memory)
+            scale=self._scale, jaer=self._jaer, strict=self._strict, memory=memory,
+            known=self._frame_times)
 
     def _seek(self, cursor: Cursor, begin: int) -> int:
         """Return the first packet to read for the samples from a time on.
@@ -279,7 +281,7 @@ class Aedat4Recording(PiecewiseRecording):
         entries = self._streams[cursor.kind].entries
         at = bisect_left(entries, begin, key=lambda entry: entry.stop_us or 0)
         if cursor.kind == "FRME":
-            at = max(at - FRAMES_UNDER_WAY, 0)
+            at = cursor.begins = max(at - FRAMES_UNDER_WAY, 0)
         clean = 0
         while at > 0 and clean < cursor.needed:
             at -= 1
