@@ -569,6 +569,6 @@ def test_the_samples_index_without_counts_is_not_believed():
 
 def test_pictures_of_a_video_keep_their_width_when_a_title_gets_shorter(
         tmp_path, monkeypatch):
-    titles = iter(["a title that is wider than its picture " * 4])
+    titles = iter(["a title that is wider than its picture " * 10])
     monkeypatch.setattr(export.Sheet, "_title", lambda self, frame: next(titles, "t"))
     assert run("export", SAMPLE, "-o", tmp_path / "x.webm", "--fps", "20") == 0
