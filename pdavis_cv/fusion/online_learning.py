@@ -7,12 +7,12 @@ from typing import Any
 from pdavis_cv._types import State
 from pdavis_cv.fusion.learning import Learned, Learning
 
-__all__ = ["FIRST_LOOK_S", "GROWTH", "OnlineLearning"]
+__all__ = ["FIRST_LOOK_S", "OnlineLearning"]
 
-FIRST_LOOK_S, GROWTH = 0.1, 1.5
+FIRST_LOOK_S = 0.125
 """Time of the first estimate from a passing stream, in s of stream time after the first
-frame, and how much later each next one is.  Engineering choice: two or three frames of
-the paper's cameras, and half as much again."""
+frame; the next ones follow at twice, four times ... that.  Engineering choice: three
+or four frames of the paper's cameras."""
 
 _DELAY = 1 / 8
 """An estimate from the first T seconds is applied after T / 8 more, as it is computed
@@ -73,7 +73,7 @@ class OnlineLearning:
         assert self._start_us is not None
         while True:
             self.next_us = self._start_us + round(
-                1e6 * FIRST_LOOK_S * GROWTH ** self._looks)
+                1e6 * FIRST_LOOK_S * 2.0 ** self._looks)
             if self.next_us >= t_us:
                 return
             self._looks += 1
