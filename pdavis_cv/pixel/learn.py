@@ -50,7 +50,7 @@ errors; and five for a black level, which must also lower the loss of pairs by f
 makes up for much that is not modelled (2 to 3 DN/ms were found where none was)."""
 
 LEAST_WHOLE = 0.25
-"""Share of rows without missing events, from which on the others are left out."""
+"""A choice: share of rows without missing events from which on others are left out."""
 
 STEADY = 0.1
 """Variance of J within both exposures up to which a pair tells the black level: what

@@ -30,7 +30,7 @@ MOST_ROWS, MOST_PER_PAIR = 36_000, 1_200
 MISSING, OF_INTERVAL = 30.0, 0.2
 """Events that would come in a silence of all pixels at their mean rate, from which on
 they count as missing: so many do not fail to come by chance.  And its least length in
-intervals between frames, for it to matter."""
+intervals between frames, for it to matter.  Choices."""
 
 LEAST_DN = 8
 """Least DN of a sample that is used."""
