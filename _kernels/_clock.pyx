@@ -46,7 +46,7 @@ cdef inline bint segment(const event_t* s, Py_ssize_t i, Py_ssize_t m, int64_t b
                          int64_t last, int64_t offset) noexcept nogil:
     """Tell whether a segment begins at i: most that follow are behind, as far as it."""
     cdef int64_t[REACH] t
-    cdef int64_t one, spread, n = 0
+    cdef int64_t one, n = 0
     cdef Py_ssize_t j, k
     if behind < 2 or 2 * behind <= m or last - moved(s[i].t, offset) <= SEGMENT_US:
         return False
@@ -59,8 +59,10 @@ cdef inline bint segment(const event_t* s, Py_ssize_t i, Py_ssize_t m, int64_t b
                 k -= 1
             t[k] = one
             n += 1
-    spread = SEGMENT_US + 4 * (t[3 * n // 4] - t[n // 4])
-    return -spread <= moved(s[i].t, offset) - t[n // 2] <= spread
+    one = moved(s[i].t, offset) - t[n // 2]
+    one = (one if one > 0 else -one) - SEGMENT_US
+    # At most four times the spread, which may not fit 64 bits.
+    return one <= 0 or (one + 3) // 4 <= t[3 * n // 4] - t[n // 4]
 
 
 def settle(event_t[::1] samples not None, Py_ssize_t accepted, Py_ssize_t n, int reach,
@@ -90,10 +92,6 @@ def settle(event_t[::1] samples not None, Py_ssize_t accepted, Py_ssize_t n, int
     s, floor, offset = &samples[0], state[BEFORE], state[OFFSET]
     last = s[w - 1].t if w else floor
     with nogil:
-        if floor == -far_us() and not w and until > LONE and LONELY_US < (
-                moved(s[1].t, 0) - moved(s[0].t, 0)) and s[2].t >= s[1].t:
-            state[BACKWARD] += 1
-            i = 1       # alone before all others
         while i < until:
             if w == i:
                 while i < until and -most <= s[i].t <= most - offset and (
@@ -133,7 +131,7 @@ def settle(event_t[::1] samples not None, Py_ssize_t accepted, Py_ssize_t n, int
                 with gil:
                     added = move(last - t)
                 added = min(offset + added, 2 * far_us())
-                if added == offset:     # no further
+                if added == offset and not gone:    # no further
                     gone += 1
                     i += 1
                 offset = added
@@ -152,6 +150,12 @@ def settle(event_t[::1] samples not None, Py_ssize_t accepted, Py_ssize_t n, int
                 s[w + j] = s[i + j]
     state[OFFSET], state[LAST] = offset, s[w - 1].t if w else floor
     m = w if final else max(w - held, 0)
+    if m and floor == -far_us() and w > LONE and s[1].t - s[0].t > LONELY_US:
+        state[BACKWARD] += 1        # the first is alone before all others
+        state[BEFORE] = s[0].t
+        w, m = w - 1, m - 1
+        for j in range(w + n - i):
+            s[j] = s[j + 1]
     if m:
         state[BEFORE] = s[m - 1].t
     return w, w + n - i, m

@@ -71,9 +71,6 @@ def settle(times, *, reach=8, equal=64, last=-(1 << 61), segments=True):
     """
     kept, i, offset, jumps, floor = [], 0, 0, 0, last
     far = 1 << 61
-    if len(times) > 3 and floor == -far and times[1] - times[0] > 3_600_000_000 and (
-            times[2] >= times[1]):
-        i = 1
     while i < len(times):
         t, before = times[i] + offset, kept[-1][1] if kept else floor
         if abs(times[i]) > far or abs(t) > far:
@@ -114,6 +111,8 @@ def settle(times, *, reach=8, equal=64, last=-(1 << 61), segments=True):
             i += 1
     if len(kept) > 3 and kept[-1][1] - kept[-2][1] > 3_600_000_000:
         kept.pop()
+    if len(kept) > 3 and floor == -far and kept[1][1] - kept[0][1] > 3_600_000_000:
+        del kept[0]
     return kept, jumps
 
 
