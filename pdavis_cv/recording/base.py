@@ -246,9 +246,9 @@ def joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """
     out = np.empty(sum(map(len, parts)), parts[0].dtype)
     # Copy bytes, as NumPy copies packed structures field by field.
-    data, at = out.view(np.uint8).data, 0
+    data, at = out.view(np.uint8), 0
     for part in parts:
-        data[at:at + part.nbytes] = part.view(np.uint8).data
+        data[at:at + part.nbytes] = part.view(np.uint8)
         at += part.nbytes
     return out
 
