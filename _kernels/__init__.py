@@ -1,6 +1,6 @@
 """Compiled kernels (private); typed in pdavis_cv/_kernels.pyi."""
 # ruff: noqa: F401  listed in the last line
-from ._aedat2 import aedat2_words
+from ._aedat2 import aedat2_rows, aedat2_samples
 from ._aedat4 import aedat4_events, aedat4_table_fields
 from ._aop_events import aop_event_stokes
 from ._aps import cds, correct

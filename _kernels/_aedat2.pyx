@@ -1,27 +1,30 @@
 """AEDAT-2.0: big-endian words of address and time.
 
+Words become rows first, in place of events, which a clock puts in order: an event has
+its pixel, any other word its address.  Then rows become samples.
+
 Facts: the address layout of the DAVIS cameras as jAER and iniVation document it.
 """
 from libc.stdint cimport (
     int16_t, int32_t, int64_t, uint8_t, uint16_t, uint32_t, uint64_t)
 
-from _kernels._check cimport SEGMENT_US
+from _kernels._check cimport FILLED, ORDERED, STATE
 from _kernels._types cimport event_t
 
-# Indices in the state of time and of the sample streams.
 cdef enum:
-    BASE = 0            # added to the 32-bit time of the file
-    LAST = 1            # time of the last word taken
-    BACKWARD = 2        # words dropped because their time runs backward
-    OUTSIDE = 3         # words dropped because they lie outside the sensor
-    UNKNOWN = 4         # words of an undefined kind
-    EVENTS = 5          # taken into the outputs so far
-    SAMPLES = 6
-    TRIGGERS = 7
-    LABELLED = 8        # events with the special bit, v2e's label of noise
-    FIRST_BAD = 9       # index of the first word dropped in this call, or -1
-    CODE = 10           # next IMU code expected, 0 = none begun
-    STATE = 11
+    OTHER = 2           # in place of a polarity: x and y are halves of an address
+
+# Indices in the state of the sample streams.
+cdef enum:
+    TIME = 0            # of the last row taken
+    OUTSIDE = 1         # words dropped because they lie outside the sensor
+    UNKNOWN = 2         # words of an undefined kind
+    EVENTS = 3          # taken into the outputs so far
+    SAMPLES = 4
+    TRIGGERS = 5
+    LABELLED = 6        # events with the special bit, v2e's label of noise
+    CODE = 7            # next IMU code expected, 0 = none begun
+    SAMPLE_STATE = 8
 
 # Indices in the state of the frame that is being assembled.
 cdef enum:
@@ -37,19 +40,13 @@ cdef enum:
     FRAME_STATE = 9
 
 cdef enum:
-    END = 0             # all words were taken
-    JUMP = 1            # time falls by more than a second before this word
-    WHOLE = 2           # the last word taken completed a frame
-    NEXT = 3            # this word begins a new frame, the last is not complete
+    END = 0             # all rows were taken
+    WHOLE = 1           # the last row taken completed a frame
+    NEXT = 2            # this row begins a new frame, the last is not complete
 
 cdef enum:
     RESET_SEEN = 1
     SIGNAL_SEEN = 2
-
-
-cdef inline uint32_t big_endian(const uint8_t* at) noexcept nogil:
-    return (<uint32_t>at[0] << 24 | <uint32_t>at[1] << 16
-            | <uint32_t>at[2] << 8 | <uint32_t>at[3])
 
 
 cdef inline uint64_t word(const uint8_t* at) noexcept nogil:
@@ -59,10 +56,10 @@ cdef inline uint64_t word(const uint8_t* at) noexcept nogil:
             | <uint64_t>at[6] << 8 | <uint64_t>at[7])
 
 
-cdef inline Py_ssize_t plain(const uint8_t* source, Py_ssize_t n, int64_t base,
-                             int64_t last, uint32_t height, uint32_t width,
-                             event_t* out) noexcept nogil:
-    """Decode words while they are events in order, inside; return how many.
+cdef inline Py_ssize_t plain(const uint8_t* source, Py_ssize_t n, int64_t origin,
+                             uint32_t height, uint32_t width, event_t* out,
+                             bint* fallen) noexcept nogil:
+    """Decode words while they are events inside; return how many.
 
     It reads one word beyond the last that it decodes: source holds n + 1.
     """
@@ -71,8 +68,6 @@ cdef inline Py_ssize_t plain(const uint8_t* source, Py_ssize_t n, int64_t base,
     cdef int32_t t, following
     cdef uint64_t here = word(source)
     cdef uint32_t right = width - 1, bottom = height - 1
-    if <int32_t>here + base < last:
-        return 0
     for i in range(n):
         address = <uint32_t>(here >> 32)
         t = <int32_t>here
@@ -82,12 +77,53 @@ cdef inline Py_ssize_t plain(const uint8_t* source, Py_ssize_t n, int64_t base,
         x = right - (address >> 12 & 0x3FF)
         y = bottom - (address >> 22)
         if (following < t) | (x > right) | (y > bottom) | (address >> 10 & 1):
-            return i
-        out[i].t = t + base
+            fallen[0] |= following < t
+            if (x > right) | (y > bottom) | (address >> 10 & 1):
+                return i
+        out[i].t = t + origin
         out[i].x = <uint16_t>x
         out[i].y = <uint16_t>y
         out[i].p = address >> 11 & 1
     return n
+
+
+def aedat2_rows(const uint8_t[:, ::1] words not None, Py_ssize_t n, int64_t origin,
+                uint32_t height, uint32_t width, int64_t[::1] state not None,
+                event_t[::1] out not None):
+    """Append a row for each of n words to out; return how many are not plain events.
+
+    The word after them is looked at as well.  origin is added to times.
+    """
+    cdef Py_ssize_t i = 0, others = 0
+    cdef uint64_t here
+    cdef bint fallen = False
+    cdef const uint8_t* source
+    cdef event_t* to
+    if (words.shape[1] != 8 or state.shape[0] != STATE or height > 512 or width > 1024
+            or height < 1 or width < 1):
+        raise ValueError("aedat2_rows: an array has the wrong shape")
+    if not 0 <= n < words.shape[0] or state[FILLED] < 0 or (
+            out.shape[0] - state[FILLED] < n):
+        raise ValueError("aedat2_rows: words or out is too small")
+    if n == 0:
+        return 0
+    source, to = &words[0, 0], &out[0] + state[FILLED]
+    with nogil:
+        while True:
+            i += plain(source + 8 * i, n - i, origin, height, width, to + i, &fallen)
+            if i == n:
+                break
+            here = word(source + 8 * i)
+            to[i].t = <int32_t>here + origin
+            to[i].x = <uint16_t>(here >> 32)
+            to[i].y = <uint16_t>(here >> 48)
+            to[i].p = OTHER
+            others += 1
+            i += 1
+    state[FILLED] += n
+    if fallen:
+        state[ORDERED] = -1
+    return others
 
 
 cdef inline int aps(Py_ssize_t column, Py_ssize_t row, uint32_t address, int64_t t,
@@ -132,100 +168,58 @@ cdef inline int aps(Py_ssize_t column, Py_ssize_t row, uint32_t address, int64_t
     return END
 
 
-def aedat2_words(const uint8_t[:, ::1] words not None, Py_ssize_t begin,
-                 Py_ssize_t n, int64_t[::1] state not None,
-                 int64_t[::1] frame not None, uint16_t[:, ::1] reset not None,
-                 uint16_t[:, ::1] signal not None, uint8_t[:, ::1] seen not None,
-                 int64_t[:, ::1] times not None, int16_t[::1] sample not None,
-                 event_t[::1] events not None, int64_t[::1] imu_t not None,
-                 int16_t[:, ::1] imu not None, int64_t[::1] trigger_t not None,
-                 uint8_t[::1] trigger not None):
-    """Decode words begin .. n, reading one word further; return (index, reason).
+def aedat2_samples(event_t[::1] rows not None, Py_ssize_t begin,
+                   int64_t[::1] state not None,
+                   int64_t[::1] frame not None, uint16_t[:, ::1] reset not None,
+                   uint16_t[:, ::1] signal not None, uint8_t[:, ::1] seen not None,
+                   int64_t[:, ::1] times not None, int16_t[::1] sample not None,
+                   int64_t[::1] imu_t not None, int16_t[:, ::1] imu not None,
+                   int64_t[::1] trigger_t not None, uint8_t[::1] trigger not None):
+    """Decode rows from begin on; return (index, reason).
 
-    The reason to stop is 0 at the end, 1 before a jump back in time by more than a
-    second, 2 after a whole frame, 3 before a word that belongs to the next frame.
-    reset, signal, seen and times hold the frame being assembled, rows from the top.
+    Events move to the beginning of rows.  The reason to stop is 0 at the end, 1 after a
+    whole frame, 2 before a row that belongs to the next frame.  reset, signal, seen and
+    times hold the frame being assembled, rows from the top.
     """
-    cdef Py_ssize_t height = seen.shape[0], width = seen.shape[1]
-    cdef Py_ssize_t i, x, y
-    cdef int64_t t, following
-    cdef int64_t last, taken
-    cdef Py_ssize_t run, whole = words.shape[0] - 1
+    cdef Py_ssize_t height = seen.shape[0], width = seen.shape[1], n = rows.shape[0]
+    cdef Py_ssize_t i, x, y, taken
+    cdef int64_t t
     cdef uint32_t address
     cdef int code, why = END
-    cdef const uint8_t* source
-    cdef event_t* out
+    cdef event_t* r
     cdef int64_t* s
-    if (words.shape[1] != 8 or state.shape[0] != STATE or frame.shape[0] != FRAME_STATE
+    if (state.shape[0] != SAMPLE_STATE or frame.shape[0] != FRAME_STATE
             or times.shape[0] != 2 or times.shape[1] != width or sample.shape[0] != 7
             or imu.shape[1] != 7 or reset.shape[0] != height
             or reset.shape[1] != width or signal.shape[0] != height
-            or signal.shape[1] != width or height > 512 or width > 1024
-            or height < 1 or width < 1):
-        raise ValueError("aedat2_words: an array has the wrong shape")
-    if (begin < 0 or begin > n or n > words.shape[0]
-            or state[EVENTS] < 0 or state[SAMPLES] < 0
-            or state[TRIGGERS] < 0 or events.shape[0] - state[EVENTS] < n - begin
+            or signal.shape[1] != width):
+        raise ValueError("aedat2_samples: an array has the wrong shape")
+    if (begin < 0 or begin > n or not 0 <= state[EVENTS] <= begin
+            or state[SAMPLES] < 0 or state[TRIGGERS] < 0
             or trigger_t.shape[0] - state[TRIGGERS] < n - begin
             or trigger.shape[0] < trigger_t.shape[0]
             or imu_t.shape[0] - state[SAMPLES] < (n - begin + 6) // 7
             or imu.shape[0] < imu_t.shape[0]
             or state[CODE] < 0 or state[CODE] > 6):
-        raise ValueError("aedat2_words: an output is too small")
+        raise ValueError("aedat2_samples: an output is too small")
     if begin == n:
         return n, END
-    s = &state[0]
-    s[FIRST_BAD] = -1
-    i = begin
-    source = &words[0, 0]
-    out = &events[0]
-    # What each event changes stays in registers; the compiler cannot see that the
-    # outputs do not overlap the state.
-    last, taken = s[LAST], s[EVENTS]
+    s, r = &state[0], &rows[0]
+    i, taken = begin, s[EVENTS]
     with nogil:
         while i < n:
-            run = plain(source + 8 * i, (n if n < whole else whole) - i, s[BASE], last,
-                        <uint32_t>height, <uint32_t>width, out + taken)
-            if run > 0:
-                i += run
-                taken += run
-                last = out[taken - 1].t
-                if i == n:
-                    break
-            address = big_endian(source + 8 * i)
-            t = <int32_t>big_endian(source + 8 * i + 4) + s[BASE]
-            following = t
-            if i + 1 < words.shape[0]:
-                following = <int32_t>big_endian(source + 8 * i + 12) + s[BASE]
-            if t < last or following < t:
-                # Rare: one of the two is damaged, or the counter was reset.
-                if t < last:
-                    if last - t > (<int64_t>1 << 31) and following < last:
-                        # The 32-bit counter overflowed.
-                        s[BASE] += <int64_t>1 << 32
-                        continue
-                    if last - t > SEGMENT_US and (
-                            i + 1 == words.shape[0] or following < last):
-                        why = JUMP
-                        break
-                if t < last or (following < t and following >= last):
-                    # A word later than both its neighbours is damaged: as in
-                    # _check.pxd, `take`.
-                    s[BACKWARD] += 1
-                    if s[FIRST_BAD] < 0:
-                        s[FIRST_BAD] = i
-                    i += 1
-                    continue
+            t = r[i].t
+            if r[i].p != OTHER:
+                if taken < i:
+                    r[taken] = r[i]
+                taken += 1
+                i += 1
+                continue
+            address = <uint32_t>r[i].y << 16 | r[i].x
             x = address >> 12 & 0x3FF
             y = height - 1 - <Py_ssize_t>(address >> 22 & 0x1FF)
             if not address & 0x80000000u:
-                if (not address & 0x400) and y >= 0 and x < width:
-                    out[taken].t = t
-                    out[taken].x = <uint16_t>(width - 1 - x)
-                    out[taken].y = <uint16_t>y
-                    out[taken].p = address >> 11 & 1
-                    taken += 1
-                elif address & 0x400 and x == 0 and y == height - 1 and address & 0x3FF:
+                if address & 0x400 and x == 0 and y == height - 1 and address & 0x3FF:
                     code = address & 0x3FF
                     if code < 2 or code > 4:
                         s[UNKNOWN] += 1
@@ -235,14 +229,12 @@ def aedat2_words(const uint8_t[:, ::1] words not None, Py_ssize_t begin,
                         s[TRIGGERS] += 1
                 elif y < 0 or x >= width:
                     s[OUTSIDE] += 1
-                    if s[FIRST_BAD] < 0:
-                        s[FIRST_BAD] = i
                 else:
                     s[LABELLED] += 1
-                    out[taken].t = t
-                    out[taken].x = <uint16_t>(width - 1 - x)
-                    out[taken].y = <uint16_t>y
-                    out[taken].p = address >> 11 & 1
+                    r[taken].t = t
+                    r[taken].x = <uint16_t>(width - 1 - x)
+                    r[taken].y = <uint16_t>y
+                    r[taken].p = address >> 11 & 1
                     taken += 1
             elif address & 0xC00 == 0xC00:
                 code = address >> 28 & 7
@@ -263,15 +255,14 @@ def aedat2_words(const uint8_t[:, ::1] words not None, Py_ssize_t begin,
                 s[UNKNOWN] += 1     # the third read of old cameras
             elif y < 0 or x >= width:
                 s[OUTSIDE] += 1
-                if s[FIRST_BAD] < 0:
-                    s[FIRST_BAD] = i
             else:
                 why = aps(x, y, address, t, &frame[0], reset, signal, seen, times)
                 if why == NEXT:
                     break
-            last = t
             i += 1
             if why == WHOLE:
                 break
-        s[LAST], s[EVENTS] = last, taken
+        if i:
+            s[TIME] = r[i - 1].t
+        s[EVENTS] = taken
     return i, why

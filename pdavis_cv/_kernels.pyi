@@ -15,7 +15,8 @@ _Pixel = TypeVar("_Pixel", np.uint8, np.uint16, np.float32)
 
 __all__ = [
     "DEBUG",
-    "aedat2_words",
+    "aedat2_rows",
+    "aedat2_samples",
     "aedat4_events",
     "aedat4_table_fields",
     "analysed",
@@ -97,11 +98,14 @@ __all__ = [
 ]
 
 DEBUG: bool
-def aedat2_words(
-    words: _U8, begin: int, n: int, state: _I64, frame: _I64,
-    reset: NDArray[np.uint16], signal: NDArray[np.uint16], seen: _U8, times: _I64,
-    sample: NDArray[np.int16], events: NDArray[Any], imu_t: _I64,
-    imu: NDArray[np.int16], trigger_t: _I64, trigger: _U8,
+def aedat2_rows(
+    words: _U8, n: int, origin: int, height: int, width: int, state: _I64,
+    out: NDArray[Any],
+) -> int: ...
+def aedat2_samples(
+    rows: NDArray[Any], begin: int, state: _I64, frame: _I64, reset: NDArray[np.uint16],
+    signal: NDArray[np.uint16], seen: _U8, times: _I64, sample: NDArray[np.int16],
+    imu_t: _I64, imu: NDArray[np.int16], trigger_t: _I64, trigger: _U8,
 ) -> tuple[int, int]: ...
 def aedat4_events(
     data: _U8, at: int, n: int, height: int, width: int, flip: bool, first: int,

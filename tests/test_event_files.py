@@ -482,17 +482,23 @@ def test_rpg_files_are_read(tmp_path):
 
 FORMATS = {
     "text": text_file, "npy": npy_file, "dat": lambda e: dat_file(e, SIZE),
-    "evt2": lambda e: evt2_file(e, SIZE), "evt3": lambda e: evt3_file(e, SIZE)}
+    "evt2": lambda e: evt2_file(e, SIZE), "evt3": lambda e: evt3_file(e, SIZE),
+    "aedat2": lambda e: (
+        b"#!AER-DAT2.0\r\n# AEChip: Davis640\r\n#End Of ASCII Header\r\n"
+        + reference.pack_aedat2_events(e, 0, *SIZE).tobytes())}
 
 
 @pytest.mark.parametrize("name", FORMATS)
-@pytest.mark.parametrize("by_us", [400_000, 5_000_000, -5_000_000])
-def test_one_damaged_time_costs_its_events_only(tmp_path, name, by_us):
+@pytest.mark.parametrize("by_us", [
+    [400_000], [5_000_000], [-5_000_000], [5_000_000] * 2, [-5_000_000, 4_000_000],
+    [2**22, 2**23], [2**23, 2**22]])
+def test_damaged_times_cost_their_events_only(tmp_path, name, by_us):
     events = some_events(1000)
     events["t"] = 6_000_000 + 5000 * (np.arange(1000) // 5)  # a time word for each 5
     damaged = events.copy()
-    hit = np.s_[500:505] if name[:3] == "evt" else np.s_[502:503]
-    damaged["t"][hit] += by_us
+    each = 5 if name[:3] == "evt" else 1
+    hit = np.s_[500:500 + each * len(by_us)]
+    damaged["t"][hit] += np.repeat(by_us, each)
     (tmp_path / "x").write_bytes(FORMATS[name](damaged))
     with open_recording(tmp_path / "x") as recording:
         found = recording.events()

@@ -21,20 +21,31 @@ def decode4(data, at, n, *, flip=False):
     return out[:state[0]], state
 
 
-def decode2(data, size=SIZE):
-    words = np.frombuffer(data, np.uint8).reshape(-1, 8)
-    n, width = len(words), size[1]
-    state = np.zeros(11, np.int64)
-    state[1] = -(1 << 61)
-    events = np.empty(n, EVENT_DTYPE)
-    done = _kernels.aedat2_words(
-        words, 0, n, state, np.zeros(9, np.int64), np.zeros(size, np.uint16),
-        np.zeros(size, np.uint16), np.zeros(size, np.uint8),
-        np.zeros((2, width), np.int64), np.zeros(7, np.int16), events,
-        np.empty(n, np.int64), np.empty((n, 7), np.int16), np.empty(n, np.int64),
-        np.empty(n, np.uint8))
-    assert done == (n, 0)
-    return events[:state[5]]
+def rows2(words, size, state):
+    """Return rows of words: events, and other words in their place."""
+    rows = np.empty(len(words), EVENT_DTYPE)
+    block = np.concatenate((words, np.zeros((1, 8), np.uint8)))
+    return rows, _kernels.aedat2_rows(block, len(words), 0, *size, state, rows)
+
+
+def samples2(rows, size):
+    """Return the events of rows, and the reasons for which decoding stopped."""
+    n, width = len(rows), size[1]
+    state, frame = np.zeros(8, np.int64), np.array([0, 0, -1, 0, 0, 0, 0, 0, -1])
+    seen, done, why, reasons = np.zeros(size, np.uint8), 0, 1, []
+    while why:
+        before = done
+        done, why = _kernels.aedat2_samples(
+            rows, done, state, frame, np.zeros(size, np.uint16),
+            np.zeros(size, np.uint16), seen, np.zeros((2, width), np.int64),
+            np.zeros(7, np.int16), np.empty(n, np.int64), np.empty((n, 7), np.int16),
+            np.empty(n, np.int64), np.empty(n, np.uint8))
+        if why:
+            seen[:], frame[:] = 0, [0, 0, -1, 0, 0, 0, 0, 0, -1]
+        assert done > before or why != 1
+        reasons.append(why)
+    assert done == n
+    return rows[:state[3]], reasons
 
 
 @pytest.mark.parametrize("n", [0, 1, 1000])
@@ -56,13 +67,17 @@ def test_aedat4_events_equal_their_twin(n, flip):
 def test_aedat2_words_equal_their_twin(n):
     events = random_events(n, SIZE, seed=n)
     words = reference_files.pack_aedat2_events(events, -77, *SIZE)
-    got = decode2(words.tobytes(), size=(250, 340))
+    state = state4()
+    rows, others = rows2(words, (250, 340), state)
+    got, reasons = samples2(rows, (250, 340))
     wanted = reference_files.aedat2_words(words.tobytes(), 250, 340)
     np.testing.assert_array_equal(got, wanted)
-    if n:
-        again = decode2(words.tobytes())
-        again["t"] -= 77
-        np.testing.assert_array_equal(again, events)
+    assert state.tolist()[:6] == [n, -(1 << 61), 0, 0, 0, -1]
+    assert (others, reasons) == (n - len(wanted), [0])
+    again, others = rows2(words, SIZE, state4())
+    again["t"] -= 77
+    np.testing.assert_array_equal(again, events)
+    assert not others
 
 
 def test_places_outside_the_data_are_refused():
@@ -95,26 +110,13 @@ def test_any_words_decode_without_harm():
         words[:, 4] = 0
         words[:, 5] &= 7
         words[:, 4:] = words[np.lexsort(words[:, 7:3:-1].T)][:, 4:]
-        n = len(words)
-        state = np.zeros(11, np.int64)
-        frame = np.array([0, 0, -1, 0, 0, 0, 0, 0, -1])
-        seen = np.zeros(SIZE, np.uint8)
-        done = 0
-        while done < n:
-            before = done
-            done, why = _kernels.aedat2_words(
-                words, done, n, state, frame, np.zeros(SIZE, np.uint16),
-                np.zeros(SIZE, np.uint16), seen, np.zeros((2, 346), np.int64),
-                np.zeros(7, np.int16), np.empty(2 * n, EVENT_DTYPE),
-                np.empty(n, np.int64), np.empty((n, 7), np.int16),
-                np.empty(2 * n, np.int64), np.empty(2 * n, np.uint8))
-            if why == 3:
-                seen[:], frame[:] = 0, [0, 0, -1, 0, 0, 0, 0, 0, -1]
-            elif done < n:
-                assert why == 1
-                state[0] += state[1] + 1 - (int.from_bytes(
-                    words[done, 4:].tobytes(), "big") + state[0])
-            assert done > before or why in (1, 3)
+        rows, _ = rows2(words, SIZE, state4())
+        events, _ = samples2(rows, SIZE)
+        assert not len(events) or events["x"].max() < 346
+    rows = np.empty(9, EVENT_DTYPE)
+    for n in (-1, 4000):
+        with pytest.raises(ValueError, match="is too small"):
+            _kernels.aedat2_rows(words, n, 0, *SIZE, state4(), rows)
 
 
 def test_eight_threads_decode_the_same():

@@ -53,11 +53,15 @@ class Timeline:
     ----------
     alone : bool
         Whether one of several streams is read: the shift of a segment depends on all.
+    bits : int
+        Of the counter of times in the file.  One of 32 bits has overflowed if it falls
+        by more than half of its range, others only if they fall by 2**32 us.
     """
 
-    def __init__(self, *, alone: bool = False) -> None:
+    def __init__(self, *, alone: bool = False, bits: int = 64) -> None:
         self._moves: list[int] = []
         self._alone = alone
+        self._near = WRAP_US // 2 if bits == 32 else SEGMENT_US
 
     def move(self, jump: int, back_us: int) -> int:
         """Return the shift of the times after a jump of one stream.
@@ -73,7 +77,7 @@ class Timeline:
             raise SegmentError
         if jump == len(self._moves):
             # A counter of 32 bits cannot fall by several of its periods.
-            wraps = abs(back_us - WRAP_US) < SEGMENT_US
+            wraps = abs(back_us - WRAP_US) < self._near
             self._moves.append(WRAP_US if wraps else back_us + 1)
         return self._moves[jump]
 
@@ -113,6 +117,11 @@ class Clock:
     def last(self) -> int:
         """Time of the last sample that was returned; no later one is before it."""
         return int(self.state[BEFORE])
+
+    @property
+    def offset(self) -> int:
+        """What is added to times of the file now."""
+        return int(self.state[OFFSET])
 
     @property
     def begun(self) -> bool:

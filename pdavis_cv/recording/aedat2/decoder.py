@@ -1,7 +1,7 @@
 """Decode AEDAT-2.0 words into events, frames, IMU samples and triggers."""
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,18 +9,29 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.aps import cds
-from pdavis_cv.errors import DamagedFileWarning, RecordingError
+from pdavis_cv.errors import DamagedFileWarning
 from pdavis_cv.recording.aedat2.addresses import as_davis
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, ApsFrame
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.packetise import Batch
 from pdavis_cv.recording.scratch import Scratch
-from pdavis_cv.recording.timeline import NEVER
+from pdavis_cv.recording.timeline import (
+    BACKWARD,
+    FILLED,
+    HELD,
+    NEVER,
+    ORDERED,
+    REACH,
+    SEGMENT_US,
+    WRAP_US,
+    Clock,
+    Timeline,
+)
 
 __all__ = ["CHUNK_WORDS", "Decoder", "ImuScale", "Mark"]
 
-CHUNK_WORDS = 1 << 16
+CHUNK_WORDS = 1 << 17
 STALE_BYTES = 8 << 20
 """Longest repetition of earlier words at the end of old files, bytes."""
 MOST_LOOKS = 8
@@ -28,21 +39,25 @@ MOST_LOOKS = 8
 jump at every word."""
 
 # Indices into the kernel's state.
-BASE, LAST, BACKWARD, OUTSIDE, UNKNOWN, EVENTS, SAMPLES, TRIGGERS = range(8)
-LABELLED, FIRST_BAD, STATE = 8, 9, 11
+TIME, OUTSIDE, UNKNOWN, EVENTS, SAMPLES, TRIGGERS, LABELLED = range(7)
+STATE = 8
 SIGNALS, FIRST_RESET, LAST_RESET, FIRST_SIGNAL, LAST_SIGNAL = 1, 3, 4, 5, 6
 INTERLEAVED, FRAME_STATE = 7, 9
-END, JUMP, WHOLE, NEXT = range(4)
+END, WHOLE, NEXT = range(3)
 
 _TRIGGER_TYPES = np.array([0, 0, 2, 1, 3], np.uint8)  # falling, rising, pulse
 
 
 class Mark(NamedTuple):
-    """A position where reading can resume: a chunk, and the state of time before it."""
+    """A position where reading can resume: a chunk, and the clock before it."""
 
     chunk: int
-    base: int
-    last: int
+    clock: Clock
+
+    @classmethod
+    def first(cls) -> Mark:
+        """Return that of a file's first chunk."""
+        return cls(0, Clock(Timeline(bits=32)))
 
 
 class ImuScale(NamedTuple):
@@ -59,8 +74,12 @@ class Decoder:
     ----------
     reader : FileReader
     log : ProblemLog
+    count : callable
+        ``FileRecording._count``.
     data_start : int
         Byte where the words begin.
+    origin_us : int
+        Added to times.
     size : (int, int)
         Sensor (height, width).
     global_shutter : bool, optional
@@ -69,31 +88,30 @@ class Decoder:
     mark : Mark
     quiet_us : int
         Findings before this time are not logged, as they depend on earlier data.
-    strict : bool
-        True to raise at the first bad word.
     dvs128 : bool
         Whether addresses are those of a DVS128.
     """
 
     def __init__(
-        self, reader: FileReader, log: ProblemLog, data_start: int,
+        self, reader: FileReader, log: ProblemLog,
+        count: Callable[[int, str, int, str], None], data_start: int, origin_us: int,
         size: tuple[int, int], *, global_shutter: bool | None, scale: ImuScale,
-        mark: Mark, quiet_us: int = NEVER, strict: bool = False, dvs128: bool = False,
+        mark: Mark, quiet_us: int = NEVER, dvs128: bool = False,
     ) -> None:
         self._dvs128 = dvs128
-        self._reader, self._log, self._start = reader, log, data_start
-        self._shutter, self._scale, self._strict = global_shutter, scale, strict
+        self._reader, self._log, self._count = reader, log, count
+        self._start, self._origin, self._size = data_start, origin_us, size
+        self._shutter, self._scale = global_shutter, scale
         self._quiet_us = quiet_us
-        self.chunk = mark.chunk
+        self.chunk, self.clock = mark
         self._state = np.zeros(STATE, np.int64)
-        self._state[BASE], self._state[LAST] = mark.base, mark.last
         self._frame = np.zeros(FRAME_STATE, np.int64)
         self._reset, self._signal = (np.zeros(size, np.uint16) for _ in range(2))
         self._seen = np.zeros(size, np.uint8)
         self._times = np.zeros((2, size[1]), np.int64)
         self._sample = np.zeros(7, np.int16)
-        self._block = np.empty(8 * (CHUNK_WORDS + 1), np.uint8)
-        n = CHUNK_WORDS
+        self._block = np.zeros((CHUNK_WORDS + 1, 8), np.uint8)
+        n = CHUNK_WORDS + HELD + REACH
         self._imu_t, self._imu = np.empty(n // 7 + 2, np.int64), np.empty(
             (n // 7 + 2, 7), np.int16)
         self._trigger_t, self._trigger = np.empty(n, np.int64), np.empty(n, np.uint8)
@@ -104,88 +122,86 @@ class Decoder:
     @property
     def mark(self) -> Mark:
         """The mark at the next chunk."""
-        return Mark(self.chunk, int(self._state[BASE]), int(self._state[LAST]))
+        return Mark(self.chunk, self.clock)
 
     def batches(self, memory: Scratch, *, frames: bool = True) -> Iterator[Batch]:
         """Yield the samples of each chunk, or the events alone."""
-        while len(words := self._words()):
-            events = memory.room(min(len(words), CHUNK_WORDS))
-            found: list[ApsFrame] | None = [] if frames else None
-            self._state[EVENTS] = 0
-            self._decode(words, events, found)
-            batch = Batch(events[:int(self._state[EVENTS])],
-                          complete_us=int(self._state[LAST]))
-            if found is not None:
-                batch.frames, batch.imu = found, self._imu_samples()
-                batch.triggers = self._trigger_samples()
+        others, n, clock = 1, 1, self.clock
+        while n:
+            before, jumps, offset = others, clock.jumps, clock.offset
+            at = min(self._start + 8 * CHUNK_WORDS * self.chunk, self._reader.size)
+            words = self._words(at)
+            n = min(len(words), CHUNK_WORDS)    # the last is that after the chunk
+            out = clock.room(memory, n)
+            others = _kernels.aedat2_rows(
+                self._block, n, self._origin, *self._size, clock.state, out)
+            if clock.state[ORDERED] < 0:
+                stale = n - self._until_stale(words, n, at)
+                clock.state[FILLED] -= stale
+                n -= stale
+            rows = clock.settled(out, final=not n)
+            self._count(at, "backward time", int(clock.state[BACKWARD]),
+                        "words were dropped because time ran backward")
+            if clock.jumps > jumps and (clock.offset - offset) % WRAP_US:
+                self._add("segment", at, "time jumped back by more than a second: a "
+                          "new segment, moved to follow the one before", offset=at)
+            batch = Batch(rows, complete_us=clock.last)
+            if others or before or not n:
+                self._decode(rows, batch, at, frames=frames)
+            self.chunk = self.chunk + 1 if n == CHUNK_WORDS else 1 << 40
             yield batch
         if frames and self._frame[SIGNALS]:     # the file ends inside a frame
             yield Batch(frames=self._take_frame(self._reader.size, whole=False),
-                        complete_us=int(self._state[LAST]))
+                        complete_us=clock.last)
 
-    def _words(self) -> NDArray[np.uint8]:
+    def _words(self, at: int) -> NDArray[np.uint8]:
         """Return the next chunk, shape (N, 8), and the word after it."""
-        whole = self._reader.read_into(self._place, self._block.data) // 8
-        words = self._block[:8 * whole].reshape(whole, 8)
+        words = self._block[:self._reader.read_into(
+            at, self._block.reshape(-1).data) // 8]
         if self._dvs128:
             as_davis(words)
         return words
 
-    @property
-    def _place(self) -> int:
-        return self._start + 8 * CHUNK_WORDS * self.chunk
-
-    def _decode(self, words: NDArray[np.uint8], events: NDArray[Any],
-                frames: list[ApsFrame] | None) -> None:
-        at, n, state = self._place, min(len(words), CHUNK_WORDS), self._state
-        state[[BACKWARD, OUTSIDE, UNKNOWN, SAMPLES, TRIGGERS, LABELLED]] = 0
-        done = 0
-        while done < n:
-            done, why = _kernels.aedat2_words(
-                words, done, n, state, self._frame, self._reset, self._signal,
-                self._seen, self._times, self._sample, events, self._imu_t, self._imu,
-                self._trigger_t, self._trigger)
-            if self._strict and state[FIRST_BAD] >= 0:
-                self._refuse(at, words, int(state[FIRST_BAD]))
-            if why in (WHOLE, NEXT) and frames is None:
+    def _decode(self, rows: NDArray[Any], batch: Batch, at: int, *, frames: bool
+                ) -> None:
+        """Put the samples of rows into a batch."""
+        state = self._state
+        state[[OUTSIDE, UNKNOWN, EVENTS, SAMPLES, TRIGGERS, LABELLED]] = 0
+        done, why = 0, NEXT
+        while why != END:
+            done, why = _kernels.aedat2_samples(
+                rows, done, state, self._frame, self._reset, self._signal, self._seen,
+                self._times, self._sample, self._imu_t, self._imu, self._trigger_t,
+                self._trigger)
+            if why != END and frames:
+                batch.frames += self._take_frame(at, whole=why == WHOLE)
+            elif why != END:
                 self._clear()
-            elif why in (WHOLE, NEXT) and frames is not None:
-                frames += self._take_frame(at + 8 * done, whole=why == WHOLE)
-            elif why == JUMP and self._jump(words, done, at + 8 * done):
-                self._reader_done()
-                break
+        batch.events = rows[:int(state[EVENTS])]
+        if frames:
+            batch.imu, batch.triggers = self._imu_samples(), self._trigger_samples()
         self._report(at)
-        self.chunk += 1
 
-    def _reader_done(self) -> None:
-        self.chunk = 1 << 60
+    def _until_stale(self, words: NDArray[np.uint8], n: int, at: int) -> int:
+        """Return how many of n words come before a repetition of earlier words.
 
-    # Time ----------------------------------------------------------------------
-
-    def _jump(self, words: NDArray[Any], i: int, offset: int) -> bool:
-        """Begin a new segment before word i; return whether the rest is repeated."""
-        if self._rest_is_stale(offset):
-            return True
-        raw = int.from_bytes(words[i, 4:].tobytes(), "big", signed=True)
-        last = int(self._state[LAST])
-        self._state[BASE] = last + 1 - raw
-        self._add("segment", offset, "time jumped back by more than a second: a new "
-                  "segment, moved to follow the one before", offset=offset)
-        return False
-
-    def _rest_is_stale(self, offset: int) -> bool:
-        """Return whether the rest repeats earlier words, as written by old flushes."""
-        left = self._reader.size - offset
-        self._looks += 1
-        if left > STALE_BYTES or self._looks > MOST_LOOKS:
-            return False
-        rest = self._reader.read(offset, left // 8 * 8)
-        before = max(self._start, offset - 2 * STALE_BYTES)
-        if rest not in self._reader.read(before, offset - before):
-            return False
-        self._add("stale words", offset, "the file ends with words that it already "
-                  "held; they were dropped", count=len(rest) // 8, offset=offset)
-        return True
+        Old flushes repeated them at the end of a file.
+        """
+        t = words.view(">i4")[:, 1].astype(np.int64)
+        for i in (np.flatnonzero(t[:-1] - t[1:] > SEGMENT_US) + 1).tolist():
+            offset = at + 8 * i
+            left = self._reader.size - offset
+            if left > STALE_BYTES or self._looks >= MOST_LOOKS:
+                continue
+            self._looks += 1
+            rest = self._reader.read(offset, left // 8 * 8)
+            before = max(self._start, offset - 2 * STALE_BYTES)
+            if rest in self._reader.read(before, offset - before):
+                self._add("stale words", offset, "the file ends with words that it "
+                          "already held; they were dropped", count=len(rest) // 8,
+                          offset=offset)
+                return int(i)
+        return n
 
     # Frames --------------------------------------------------------------------
 
@@ -212,7 +228,7 @@ class Decoder:
             valid &= seen
         # The end of a frame without its last sample is detected only now.
         now = int(state[LAST_SIGNAL] if whole else max(
-            self._state[LAST], state[LAST_SIGNAL]))
+            self._state[TIME], state[LAST_SIGNAL]))
         start: Any
         end: Any
         if state[INTERLEAVED] or self._shutter is False:
@@ -255,11 +271,9 @@ class Decoder:
 
     def _report(self, at: int) -> None:
         state = self._state
+        self._count(at, "outside sensor", int(state[OUTSIDE]),
+                    "events and samples outside the sensor were dropped")
         for place, kind, message in (
-                (BACKWARD, "backward time", "words were dropped because time ran "
-                 "backward"),
-                (OUTSIDE, "outside sensor", "events and samples outside the sensor "
-                 "were dropped"),
                 (UNKNOWN, "unknown words", "words of no known kind were skipped"),
                 (LABELLED, "labelled events", "events carry a label (v2e marks noise "
                  "so); they are kept")):
@@ -268,15 +282,10 @@ class Decoder:
 
     def _add(self, kind: str, key: int, message: str, *, count: int = 1,
              offset: int) -> None:
-        last = int(self._state[LAST])
+        last = self.clock.last
         if last >= self._quiet_us:
             self._log.add(kind, key, message, count=count, offset=offset,
                           start_us=last, stop_us=last)
-
-    def _refuse(self, at: int, words: NDArray[Any], i: int) -> None:
-        raise RecordingError(
-            f"{self._reader.path}: byte {at + 8 * i}: word {words[i].tobytes().hex()} "
-            "lies outside the sensor, or before its predecessor")
 
     def check_end(self) -> None:
         """Warn once if the file ends inside a word."""

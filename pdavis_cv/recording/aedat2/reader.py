@@ -58,7 +58,7 @@ class Aedat2Recording(PiecewiseRecording):
     def _open(self, options: SourceOptions) -> RecordingInfo:
         self._reader = self._bytes()
         self._header = read_header(self._reader)
-        self._marks = Marks(1)
+        self._marks = Marks(2)
         self._size_fact, self._dvs128 = self._sensor(options)
         self._size: tuple[int, int] = self._size_fact.value
         return self._make_info(options)
@@ -146,21 +146,22 @@ class Aedat2Recording(PiecewiseRecording):
         rate = gyro if gyro in (0, 1, 2, 3) else 2
         scale = ImuScale(1 / (16384 >> g), 1 / (131.0, 65.5, 32.8, 16.4)[rate])
         return Decoder(
-            self._reader, self._log, self._header.data_start, self._size,
-            global_shutter=self._header.global_shutter, scale=scale, mark=mark,
-            quiet_us=quiet_us, strict=self._strict, dvs128=self._dvs128)
+            self._reader, self._log, self._count, self._header.data_start,
+            self._header.origin_us, self._size, mark=mark, quiet_us=quiet_us,
+            global_shutter=self._header.global_shutter, scale=scale,
+            dvs128=self._dvs128)
 
     def _pieces(self, start_us: int | None, memory: Scratch, *, frames: bool = True
                 ) -> Iterator[tuple[Batch, float]]:
         """Yield the samples of each chunk, and the share of the file read by then."""
-        mark, quiet = Mark(0, self._header.origin_us, NEVER), NEVER
+        mark, quiet = Mark.first(), NEVER
         if start_us is not None and (found := self._marks.before(
                 cell_start(start_us) - WARM_UP_US)) is not None:
             mark, quiet = found, cell_start(start_us)
         decoder = self._decoder(mark, quiet)
         for batch in decoder.batches(memory, frames=frames):
-            self._marks.note(decoder.chunk, decoder.mark.last, decoder.mark)
-            yield batch, min(decoder.chunk * CHUNK_WORDS / self.word_count, 1.0)
+            self._marks.note(decoder.chunk, decoder.clock.last, decoder.mark)
+            yield batch, min(decoder.chunk * CHUNK_WORDS / max(self.word_count, 1), 1.0)
         decoder.check_end()
 
     @property
