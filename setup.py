@@ -28,6 +28,7 @@ KERNELS = (
     "_build",
     "_bus",
     "_clock",
+    "_colours",
     "_davis_usb",
     "_degree",
     "_demosaic",

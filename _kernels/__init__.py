@@ -7,6 +7,7 @@ from ._aps import cds, correct
 from ._build import DEBUG
 from ._bus import read_out, sort_events
 from ._clock import settle
+from ._colours import colour_means, smooth
 from ._davis_usb import davis_words
 from ._degree import degree_frame, lasting_degree
 from ._demosaic import (

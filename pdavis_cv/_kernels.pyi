@@ -33,6 +33,7 @@ __all__ = [
     "cf_frame_printed",
     "check_events",
     "check_times",
+    "colour_means",
     "correct",
     "count",
     "degree_frame",
@@ -86,6 +87,7 @@ __all__ = [
     "saturated_events",
     "saturated_fill",
     "settle",
+    "smooth",
     "sort_events",
     "stokes",
     "stream_events",
@@ -131,6 +133,10 @@ def evt3_words(
 def ros_events(
     data: _U8, start: int, stride: int, count: int, places: _I64, shift: int,
     height: int, width: int, state: _I64, out: NDArray[Any],
+) -> None: ...
+def smooth(image: _F32, taps: _F32, scratch: _F32, out: _F32) -> None: ...
+def colour_means(
+    image: _F32, guide: _F32, cell: _U8, taps: _F32, step: int, scratch: _F32, out: _F32
 ) -> None: ...
 def settle(
     samples: NDArray[Any], accepted: int, n: int, reach: int, held: int, final: bool,

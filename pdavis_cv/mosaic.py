@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._checks import output
 from pdavis_cv._types import Image
+from pdavis_cv.colour_mosaic import COLOUR_METHODS, colour_mosaics
 from pdavis_cv.sensor import Layout
 
 __all__ = ["DEMOSAIC_METHODS", "HALF_SIZE", "demosaic", "demosaic_valid",
@@ -65,8 +66,9 @@ def demosaic(
     mosaic : ndarray of uint8, uint16 or float32, shape (H, W)
         Linear intensity, row 0 at the top.
     layout : Layout or str
-        Polarizer in front of each pixel.
+        Polarizer in front of each pixel, and its colour filter if it has one.
     method : {"bilinear", "superpixel", "binned", "guided"}
+        With colours, the first or the last.
         ``"bilinear"``: each channel at every pixel, from its nearest samples.  Exact
         on constant and linear fields, borders included: a missing neighbour is
         extrapolated from the two nearest samples of its channel in that direction
@@ -96,15 +98,16 @@ def demosaic(
     -------
     ndarray of float32, shape (4, H, W), or (4, H/2, W/2) for the two per cell
         In the order of ``CHANNELS``, independent of the layout; in the unit of
-        ``mosaic``.
+        ``mosaic``.  With colours (3, 4, H, W): of red, green and blue light.
 
     Raises
     ------
     TypeError
         If ``mosaic``, ``valid`` or ``variance`` has another dtype.
     ValueError
-        If a side is 1 (``"bilinear"``, ``"guided"``) or odd (the two per cell), the
-        method is unknown, or ``out``, ``valid`` or ``variance`` does not fit.
+        If a side is 1 (``"bilinear"``, ``"guided"``; below 4 with colours) or odd (the
+        two per cell), the method is unknown or none for colours, or ``out``,
+        ``valid`` or ``variance`` does not fit.
 
     Examples
     --------
@@ -112,8 +115,8 @@ def demosaic(
     >>> demosaic(cell, Layout.PDAVIS)[:, 0, 0].tolist()
     [0.0, 45.0, 90.0, 135.0]
     """
-    mosaic = checked_mosaic(mosaic)
-    check_method(method, mosaic.shape)
+    mosaic, layout = checked_mosaic(mosaic), Layout.of(layout)
+    check_method(method, mosaic.shape, layout)
     if valid is not None:
         valid = _checked_valid(valid)
     if variance is not None:
@@ -123,6 +126,13 @@ def demosaic(
             raise ValueError(f"{name} must have the mosaic's shape {mosaic.shape}, got "
                              f"{array.shape}")
     height, width = mosaic.shape
+    if layout.colours:
+        out = output(out, (3, 4, height, width), np.float32, mosaic)
+        if mosaic.size:
+            planes = colour_mosaics(mosaic, layout, method, valid)
+            for plane, one in zip(planes, out, strict=True):
+                demosaic(plane, layout.monochrome, method, one, valid=valid)
+        return out
     places = places_of(layout)
     if method in HALF_SIZE:
         height, width = height // 2, width // 2
@@ -179,8 +189,7 @@ def demosaic_valid(
         If the shape does not fit the method, as in `demosaic`.
     """
     valid = _checked_valid(valid)
-    check_method(method, valid.shape)
-    places_of(layout)
+    check_method(method, valid.shape, Layout.of(layout))
     if method == "superpixel":
         return _all_of_cell(valid)
     if not valid.size:
@@ -311,26 +320,32 @@ def checked_mosaic(mosaic: Image) -> Image:
     return np.require(mosaic, None, ("C", "A"))
 
 
-def check_method(method: str, shape: tuple[int, ...]) -> None:
-    """Raise ValueError unless the method is known and supports the shape (H, W)."""
+def check_method(
+    method: str, shape: tuple[int, ...], layout: Layout | None = None
+) -> None:
+    """Raise ValueError unless the method is known and fits shape (H, W) and layout."""
     if method not in DEMOSAIC_METHODS:
         raise ValueError(
             f"demosaic method must be one of {', '.join(DEMOSAIC_METHODS)}, got "
             f"{method!r}")
+    least = 2 if layout is None or not layout.colours else 4
+    if least == 4 and method not in COLOUR_METHODS:
+        raise ValueError(f"demosaic method of a mosaic of colours must be one of "
+                         f"{', '.join(COLOUR_METHODS)}, got {method!r}")
     if method in HALF_SIZE:
         if shape[0] % 2 or shape[1] % 2:
             raise ValueError(
                 f"{method} needs an even height and width, got (height, width) = "
                 f"{shape}")
-    elif 0 not in shape and min(shape) < 2:
+    elif 0 not in shape and min(shape) < least:
         raise ValueError(
-            f"{method} needs a height and width of at least 2, got (height, width) = "
-            f"{shape}")
+            f"{method} needs a height and width of at least {least}, got (height, "
+            f"width) = {shape}")
 
 
 def places_of(layout: Layout | str) -> NDArray[np.intp]:
     """Return the place of each channel in the cell, as an array for kernels."""
-    return _places(Layout.of(layout))
+    return _places(Layout.of(layout).monochrome)
 
 
 def scratch_rows(rows: int, width: int) -> NDArray[np.float32]:

@@ -1,6 +1,7 @@
 """PolarFrame, an image of polarization, and `polarization`, which makes one."""
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Self
 
@@ -12,6 +13,7 @@ from pdavis_cv import _kernels
 from pdavis_cv._advice import Advises
 from pdavis_cv._types import Facts, Image
 from pdavis_cv.analyser import Analyser, stokes_gain
+from pdavis_cv.colour_mosaic import COLOURS, joint
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.sensor import Layout
 from pdavis_cv.stokes_vector import (
@@ -78,14 +80,15 @@ class PolarFrame(Advises):
     """
 
     __slots__ = (
-        "_analyser", "_aop_dolp", "_origin", "_provenance", "_quad", "_quality",
-        "_reconciled", "_sigmas", "_stokes", "_usable", "_valid", "_variance",
-        "extinction_ratio", "frame_us", "t_us")
+        "_analyser", "_aop_dolp", "_colours", "_origin", "_provenance", "_quad",
+        "_quality", "_reconciled", "_sigmas", "_stokes", "_usable", "_valid",
+        "_variance", "extinction_ratio", "frame_us", "t_us")
 
     t_us: int | None
     frame_us: int | None
     extinction_ratio: float | None
     _quad: NDArray[np.float32]
+    _colours: Mapping[str, Self]
     _quality: NDArray[np.float32] | None
     _reconciled: bool
     _origin: PolarFrame | None
@@ -162,6 +165,19 @@ class PolarFrame(Advises):
             frame._sigmas = frozen(sigmas[0]), frozen(sigmas[1]), frozen(sigmas[2])
         return frame
 
+    @classmethod
+    def of_colours(cls, quads: NDArray[np.float32], **about: Any) -> Self:
+        """Make a PolarFrame of the channels of red, green and blue light.
+
+        It is that of all light, `joint`; `colours` are those of the three.  The
+        parameters are those of `adopt`, quads of shape (3, 4, H, W).
+        """
+        frame = cls.adopt(joint(quads), **about)
+        frame._colours = MappingProxyType({
+            name: cls.adopt(quad, **about)
+            for name, quad in zip(COLOURS, quads, strict=True)})
+        return frame
+
     def retimed(
         self, t_us: int, frame_us: int | None, provenance: Facts
     ) -> Self:
@@ -200,6 +216,7 @@ class PolarFrame(Advises):
         reconciled: bool = False,
     ) -> None:
         self._quad, self._reconciled = quad, reconciled
+        self._colours = {}
         self._origin = None     # the image whose cached quantities this one uses
         self._aop_dolp = self._sigmas = self._stokes = self._usable = None
         if quad.ndim != 3 or quad.shape[0] != 4:
@@ -241,6 +258,11 @@ class PolarFrame(Advises):
     def analyser(self) -> Analyser | None:
         """Responses of the channels, None for ideal polarizers."""
         return self._analyser
+
+    @property
+    def colours(self) -> Mapping[str, Self]:
+        """Images of red, green and blue light by name; none of a monochrome sensor."""
+        return self._colours
 
     @property
     def provenance(self) -> Facts:
@@ -370,7 +392,8 @@ class PolarFrame(Advises):
         return _restored_frame, (
             self._quad, self._valid, self.t_us, self.frame_us, self.extinction_ratio,
             self._analyser, self._variance, self._provenance, self._quality,
-            self._reconciled), (None, {"_sigmas": self._sigmas})
+            self._reconciled), (None, {
+                "_sigmas": self._sigmas, "_colours": dict(self._colours)})
 
     def __array__(
         self, dtype: DTypeLike | None = None, copy: bool | None = None
@@ -427,7 +450,8 @@ def polarization(
     mosaic : ndarray of uint8, uint16 or float32, shape (H, W)
         Linear intensity, row 0 at the top.
     layout : Layout or str
-        Polarizer in front of each pixel, or its name; see `Layout.of`.
+        Polarizer in front of each pixel, and its colour filter if it has one, or their
+        name, as ``"sony-rggb"``; see `Layout.of`.
     demosaic : {"bilinear", "superpixel", "binned", "guided"}
         As in `pdavis_cv.demosaic`; ``"superpixel"`` and ``"binned"`` halve the size.
     extinction_ratio : float, optional
@@ -436,12 +460,13 @@ def polarization(
     Returns
     -------
     PolarFrame
-        Without ``t_us``.
+        Without ``t_us``; with `PolarFrame.colours` if there are colour filters.
 
     Raises
     ------
     TypeError, ValueError
         As for `pdavis_cv.demosaic` and `stokes`.
     """
-    return PolarFrame.adopt(
-        demosaic_mosaic(mosaic, layout, demosaic), extinction_ratio=extinction_ratio)
+    quad = demosaic_mosaic(mosaic, layout, demosaic)
+    made = PolarFrame.adopt if quad.ndim == 3 else PolarFrame.of_colours
+    return made(quad, extinction_ratio=extinction_ratio)

@@ -2,8 +2,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 from pdavis_cv.errors import LayoutError, LayoutWarning
@@ -19,6 +19,19 @@ NOMINAL_THRESHOLDS = (0.2, 0.2)
 The default of v2e for DAVIS cameras (Hu, Liu, Delbruck, CVPR Workshops 2021).  Values
 of cameras lie between 0.14 (Haessig et al., table S1) and about 0.4.
 """
+
+
+_BAYER = {"rggb": (0, 0), "grbg": (0, 2), "gbrg": (2, 0), "bggr": (2, 2)}
+"""Place of its first pixel, (row, column), in the 4x4 cell of the first one."""
+
+
+def _bayer(row: int, column: int) -> str:
+    """Return the colours of a 4x4 cell, by row, that begins at a place of RGGB."""
+    return "".join("RGGB"[(row + r) % 4 // 2 * 2 + (column + c) % 4 // 2]
+                   for r in range(4) for c in range(4))
+
+
+_COLOURS = {_bayer(row, column) for row in range(4) for column in range(4)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +51,16 @@ class Layout:
     owner : str, optional
         Name of the sensor whose layout this is, as of ``Layout.SONY`` and what is made
         from it; None = known by its angles only.  It does not count in comparisons.
+    colours : str, optional
+        Colour filters, each over 2x2 pixels: ``"RGGB"`` and so on, by row, if the
+        first filter begins at the first pixel; the attribute, and what any crop has,
+        are the 16 letters of the 4x4 cell by row.  None = monochrome.
 
     Raises
     ------
     LayoutError
-        If the four angles are not a permutation of 0, 45, 90, 135.
+        If the four angles are not a permutation of 0, 45, 90, 135, or the colours are
+        none of a Bayer mosaic.
 
     Examples
     --------
@@ -53,6 +71,7 @@ class Layout:
     row0: tuple[int, int]
     row1: tuple[int, int]
     owner: str | None = field(default=None, compare=False, repr=False)
+    colours: str | None = None
 
     PDAVIS: ClassVar[Layout]
     SONY: ClassVar[Layout]
@@ -72,6 +91,14 @@ class Layout:
                 f"two, got {self.row0!r}, {self.row1!r}")
         object.__setattr__(self, "row0", rows[0])
         object.__setattr__(self, "row1", rows[1])
+        if self.colours is not None:
+            place = _BAYER.get(self.colours.lower())
+            cell = self.colours.upper() if place is None else _bayer(*place)
+            if cell not in _COLOURS:
+                raise LayoutError(
+                    f"colours of a layout must be one of {', '.join(_BAYER)}, or the "
+                    f"16 of a 4x4 cell of them, got {self.colours!r}")
+            object.__setattr__(self, "colours", cell)
 
     @classmethod
     def of(cls, value: Layout | str) -> Layout:
@@ -81,7 +108,7 @@ class Layout:
         ----------
         value : Layout or str
             ``"pdavis"``, ``"sony"``, or four angles in degrees by row, as
-            ``"135,90,0,45"``.
+            ``"135,90,0,45"``; with colours after a hyphen, as ``"sony-rggb"``.
 
         Raises
         ------
@@ -100,11 +127,14 @@ class Layout:
         if not isinstance(value, str):
             raise TypeError(
                 f"layout must be a Layout or its name, got {type(value).__name__}")
-        named = {"pdavis": cls.PDAVIS, "sony": cls.SONY}.get(value.strip().lower())
+        text, hyphen, colours = value.strip().lower().partition("-")
+        if hyphen:
+            return replace(cls.of(text), colours=colours)
+        named = {"pdavis": cls.PDAVIS, "sony": cls.SONY}.get(text)
         if named is not None:
             return named
         try:
-            a, b, c, d = (int(angle) for angle in value.split(","))
+            a, b, c, d = (int(angle) for angle in text.split(","))
         except ValueError:
             raise LayoutError(
                 "layout must be pdavis, sony or four angles by row such as "
@@ -122,12 +152,25 @@ class Layout:
         """
         found = cls.of(angles)
         known = isinstance(owner, str) and owner in SENSORS
-        return cls(found.row0, found.row1, str(owner) if known else None)
+        return replace(found, owner=str(owner) if known else None)
 
     @property
     def stored_angles(self) -> str:
-        """The angles as a file holds them: by row, with commas between them."""
-        return ",".join(str(angle) for angle in (*self.row0, *self.row1))
+        """The angles as a file holds them: by row, with commas, and the colours."""
+        colours = self.colours and f"-{self._order}"
+        return ",".join(str(angle) for angle in (*self.row0, *self.row1)) + (
+            colours or "")
+
+    @property
+    def _order(self) -> str | None:
+        """The colours by their short name, if they have one."""
+        return next((name for name, place in _BAYER.items()
+                     if _bayer(*place) == self.colours), self.colours)
+
+    @property
+    def monochrome(self) -> Layout:
+        """The same polarizers without colour filters."""
+        return replace(self, colours=None)
 
     @property
     def sensor(self) -> Sensor | None:
@@ -146,19 +189,15 @@ class Layout:
         a, b, c, d = (cell.index(angle) for angle in CHANNELS)
         return a, b, c, d
 
-    def flip_x(self, width: int = 2) -> Layout:
+    def flip_x(self, width: int = 4) -> Layout:
         """Layout after a left-right mirror (``np.fliplr``) of an image this wide."""
-        cell = self.angles_deg
-        return self._moved([[-cell[r][(width - 1 - c) % 2] for c in (0, 1)]
-                            for r in (0, 1)])
+        return self._moved(lambda r, c: (r, width - 1 - c), -1)
 
-    def flip_y(self, height: int = 2) -> Layout:
+    def flip_y(self, height: int = 4) -> Layout:
         """Layout after a top-bottom mirror (``np.flipud``) of an image this high."""
-        cell = self.angles_deg
-        return self._moved([[-cell[(height - 1 - r) % 2][c] for c in (0, 1)]
-                            for r in (0, 1)])
+        return self._moved(lambda r, c: (height - 1 - r, c), -1)
 
-    def rot90(self, k: int = 1, size: tuple[int, int] = (2, 2)) -> Layout:
+    def rot90(self, k: int = 1, size: tuple[int, int] = (4, 4)) -> Layout:
         """Layout after ``np.rot90(image, k)`` (counter-clockwise).
 
         Parameters
@@ -166,29 +205,38 @@ class Layout:
         k : int
             Number of quarter turns.
         size : (int, int)
-            (height, width) of the image before turning; only parity matters.
+            (height, width) of the image before turning; only parity matters, and with
+            colours the rest of a division by 4.
         """
         layout, (height, width) = self, size
         for _ in range(k % 4):
-            cell = layout.angles_deg
-            # np.rot90: new[r, c] = old[c, width - 1 - r]
-            layout = self._moved([[cell[c][(width - 1 - r) % 2] + 90 for c in (0, 1)]
-                                  for r in (0, 1)])
-            height, width = width, height
+            layout, height, width = layout._turned(width), width, height
         return layout
+
+    def _turned(self, width: int) -> Layout:
+        return self._moved(lambda r, c: (c, width - 1 - r), turn_deg=90)
 
     def crop(self, x: int, y: int) -> Layout:
         """Layout of an image whose first pixel was at column x, row y of this one."""
-        cell = self.angles_deg
-        return self._moved([[cell[(r + y) % 2][(c + x) % 2] for c in (0, 1)]
-                            for r in (0, 1)])
+        return self._moved(lambda r, c: (r + y, c + x))
 
-    def _moved(self, cell: Sequence[Sequence[int]]) -> Layout:
-        (a, b), (c, d) = cell
-        return Layout((a % 180, b % 180), (c % 180, d % 180), self.owner)
+    def _moved(
+        self, source: Callable[[int, int], tuple[int, int]], sign: int = 1,
+        turn_deg: int = 0,
+    ) -> Layout:
+        """Return the layout of an image of which a pixel was at source(row, column)."""
+        cell = self.angles_deg
+        at = [source(r, c) for r in range(4) for c in range(4)]
+        a, b, c, d = ((sign * cell[y % 2][x % 2] + turn_deg) % 180
+                      for y, x in (at[0], at[1], at[4], at[5]))
+        colours = self.colours and "".join(
+            self.colours[y % 4 * 4 + x % 4] for y, x in at)
+        return Layout((a, b), (c, d), self.owner, colours)
 
     def __str__(self) -> str:
-        return f"(({self.row0[0]}, {self.row0[1]}), ({self.row1[0]}, {self.row1[1]}))"
+        colours = self.colours and f" {self._order}"
+        return (f"(({self.row0[0]}, {self.row0[1]}), ({self.row1[0]}, {self.row1[1]}))"
+                f"{colours or ''}")
 
 
 Layout.PDAVIS = Layout((135, 90), (0, 45), "pdavis")
@@ -308,7 +356,7 @@ def resolve_layout(
     Raises
     ------
     LayoutError
-        If two of them disagree.
+        If two of them disagree.  One without colours agrees with one that has them.
 
     Warns
     -----
@@ -319,12 +367,16 @@ def resolve_layout(
         ("layout argument", caller), ("calibration", calibration),
         ("recording", recording)) if layout is not None]
     for name, layout in known[1:]:
-        if layout != known[0][1]:
+        first = known[0][1]
+        if layout.monochrome != first.monochrome or (
+                layout.colours and first.colours and layout != first):
             raise LayoutError(
-                f"the {known[0][0]} says {known[0][1]}, the {name} says {layout}: "
+                f"the {known[0][0]} says {first}, the {name} says {layout}: "
                 "one of them is wrong")
     if known:
-        return next((one for _, one in known if one.owner), known[0][1])
+        found = next((one for _, one in known if one.owner), known[0][1])
+        return replace(found, colours=next(
+            (one.colours for _, one in known if one.colours), None))
     warnings.warn(
         f"polarizer layout unknown: assuming Layout.PDAVIS = {Layout.PDAVIS}; the "
         f"alternative is Layout.SONY = {Layout.SONY}. Until one is given "

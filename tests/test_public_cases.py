@@ -94,7 +94,9 @@ def test_several_cameras_are_named_in_the_words_of_the_command_line(capsys):
     assert said.count("\n") == 1
 
 
-def test_a_mosaic_of_colours_is_refused_by_name(capsys):
+def test_a_mosaic_of_colours_is_found_and_named(capsys):
     path = str(PUBLIC / "imx250myr_colour.png")
-    assert main(["info", path, "--layout", "sony"]) == 2
-    assert "IMX250MYR" in capsys.readouterr().err
+    assert main(["info", path, "--layout", "sony"]) == 0
+    said = capsys.readouterr()
+    assert "((90, 45), (135, 0)) rggb" in said.out
+    assert "IMX250MYR" in said.err

@@ -22,6 +22,7 @@ import numpy as np
 
 from pdavis_cv import PolarFrame, Recording, export, fuse, render
 from pdavis_cv._opencv import opencv
+from pdavis_cv.colour_mosaic import COLOURS
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.quantities import GROUPS, INTENSITY, QUANTITIES, chosen
 from pdavis_cv.render.colours import Picture
@@ -85,8 +86,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             at = start_of(recording) + round(args.at * 1e6)
             require_samples(recording, at)
             options |= {"fps": None, "times_us": [at]}
-        images = told_if_nothing(
-            fuse(recording, **options), recording, options["calibration"])
+        images = iter(told_if_nothing(
+            fuse(recording, **options), recording, options["calibration"]))
+        if args.colour is not None:
+            images = (_of_colour(frame, args.colour) for frame in images)
         stage("estimating parameters of the camera")
         first = list(itertools.islice(images, 2))
         if not first:
@@ -152,6 +155,10 @@ def _parser() -> argparse.ArgumentParser:
         metavar="LIST",
         help=f"quantities from {', '.join(_names())}; default s0,aop,dolp")
     parser.add_argument(
+        "--colour", choices=COLOURS,
+        help="of a colour sensor, images of this light alone; default: of all light "
+             "together, half of which is green")
+    parser.add_argument(
         "--range", type=_range, action="append", default=[],
         metavar="[NAME=]LOW,HIGH", dest="ranges",
         help="values at the ends of a quantity's colours, e.g. dolp=0,0.3 (the upper "
@@ -171,6 +178,10 @@ def _parser() -> argparse.ArgumentParser:
     look.add_argument(
         "--white", type=positive, metavar="DN/MS",
         help="intensity shown as white; default: from the first image, then fixed")
+    look.add_argument(
+        "--white-balance", type=_balance, metavar="R,G,B",
+        help="of a colour sensor, what red, green and blue are multiplied by in the "
+             "picture of s0; default: what makes the mean of the first image grey")
     look.add_argument(
         "--aop", choices=("faded", "hsv", "full"), default="faded",
         help="colours of the angle: faded (default): equal steps look equal, fading "
@@ -218,6 +229,26 @@ def _quantities(text: str) -> list[str]:
         return [one.name for one in chosen(text.split(","))]
     except ValueError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _of_colour(frame: PolarFrame, colour: str) -> PolarFrame:
+    if not frame.colours:
+        raise UsageError("--colour needs a sensor of colours (--layout sony-rggb)")
+    return frame.colours[colour]
+
+
+def _balance(text: str) -> tuple[float, ...]:
+    gains = numbers(text, 3)
+    if min(gains) <= 0:
+        raise argparse.ArgumentTypeError(f"gains must be positive, got {text!r}")
+    return tuple(gains)
+
+
+def _grey_mean(frame: PolarFrame) -> tuple[float, ...]:
+    """Return the white balance that makes the mean of an image grey."""
+    means = [float(frame.colours[name].s0[frame.valid].mean() if frame.valid.any()
+                   else 1) for name in COLOURS]
+    return tuple(round(sum(means) / 3 / max(mean, 1e-9), 3) for mean in means)
 
 
 def _range(text: str) -> tuple[str | None, float, float]:
@@ -276,6 +307,12 @@ class Sheet:
         self.unit = export.light_unit(recording)
         self.white = float(args.white or _white(first, top))
         self.saturated = math.inf if top is None else top / 2
+        self._balance: tuple[float, ...] = ()
+        if first.colours and "s0" in args.quantities:
+            self._balance = args.white_balance or _grey_mean(first)
+            self.facts = {**self.facts, "white_balance": self._balance}
+        elif args.white_balance:
+            raise UsageError("--white-balance needs s0 of a sensor of colours")
         self.ranges = {name: QUANTITIES[name].shown(self.white) for name in
                        args.quantities} | _ranges(args)
         self.fading = _ranges(args).get("dolp", (0.0, render.FULL_COLOUR_DOLP))
@@ -335,9 +372,17 @@ class Sheet:
             picture, self._pixel_um, scale=scale)
 
     def _pictures(self, frame: PolarFrame) -> list[Picture]:
-        return [self._aop(frame) if name == "aop" else render.quantity_bgr(
-            QUANTITIES[name], frame, *self.ranges[name], saturated=self.saturated)
-            for name in self.args.quantities]
+        return [self._picture(frame, name) for name in self.args.quantities]
+
+    def _picture(self, frame: PolarFrame, name: str) -> Picture:
+        low, high = self.ranges[name]
+        if name == "aop":
+            return self._aop(frame)
+        if name == "s0" and self._balance and low == 0:
+            return render.colour_bgr(
+                frame, high, self._balance, saturated=self.saturated)
+        return render.quantity_bgr(
+            QUANTITIES[name], frame, low, high, saturated=self.saturated)
 
     def _aop(self, frame: PolarFrame) -> Picture:
         good = render.reliable(frame, least_dolp=self.args.mask_dolp,
@@ -355,7 +400,9 @@ class Sheet:
     @property
     def brightest(self) -> str:
         """The intensity that is shown white, with its unit."""
-        return f"{self.white:g} {self.unit}".removesuffix(" 1")
+        balance = ", ".join(f"{gain:g}" for gain in self._balance)
+        return f"{self.white:g} {self.unit}".removesuffix(" 1") + (
+            balance and f", white balance {balance}")
 
     def _panel(self, name: str) -> render.Panel:
         one = QUANTITIES[name]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv.analyser import Analyser
 from pdavis_cv.calibration.model import Calibration
-from pdavis_cv.errors import LayoutError
+from pdavis_cv.errors import CalibrationError, LayoutError
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.mosaic import demosaic as demosaic_mosaic
 from pdavis_cv.reconstruct.base import Reconstructor
@@ -135,6 +135,9 @@ def analyser_of(
     """
     if calibration is None or calibration.analyser is None:
         return None
+    if layout.colours:
+        raise CalibrationError(
+            "an analyser matrix is for monochrome mosaics, got one for colours")
     part, gain = calibration.analyser[window], gain_of(calibration, window, demosaic)
     if gain is not None:
         part, demosaic = part / gain[..., np.newaxis], "bilinear"

@@ -18,6 +18,7 @@ from pdavis_cv._options import changed
 from pdavis_cv._types import Events, Facts, Parameters
 from pdavis_cv._workers import Begun, Workers
 from pdavis_cv.calibration.corrected import FrameCorrection
+from pdavis_cv.colour_mosaic import COLOUR_REACH
 from pdavis_cv.fusion.camera import (
     check_calibration_fits,
     check_layout_fits,
@@ -37,7 +38,7 @@ from pdavis_cv.fusion.snapshot import BEFORE, FusionSnapshot
 from pdavis_cv.fusion.states import ArrivalState, InOrderState, make_state
 from pdavis_cv.fusion.tuning import Tuning
 from pdavis_cv.fusion.window import checked_roi, window_of
-from pdavis_cv.mosaic import REACH
+from pdavis_cv.mosaic import REACH, check_method
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import Needs, Reconstructor
 from pdavis_cv.reconstruct.lamp import LampTracker
@@ -117,8 +118,11 @@ class Fusion(Advises):
         self._workers = Workers(options.threads)
         self._clock_us = self._learning.prior.clock_us
         self.roi = roi
-        self.window = window_of(
-            roi, info.sensor_size, probe.margin + REACH[options.demosaic])
+        reach = REACH[options.demosaic]
+        if self.layout.colours:
+            check_method(options.demosaic, info.sensor_size, self.layout)
+            reach += COLOUR_REACH[options.demosaic]
+        self.window = window_of(roi, info.sensor_size, probe.margin + reach)
         self._images = ImageMaker(
             self.window, roi, self.layout, options.demosaic, ratio,
             options.calibration, sensor, self._workers)

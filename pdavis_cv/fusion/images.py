@@ -125,6 +125,10 @@ class ImageMaker:
         # The arrays are new and nobody else's: the image takes them over.
         about |= {"valid": self._valid(estimate.valid),
                   "extinction_ratio": self._ratio, "quality": self._quality(quality)}
+        if self._layout.colours:
+            return PolarFrame.of_colours(self._cropped(demosaic_mosaic(
+                intensity, self._layout, self._demosaic, valid=estimate.valid)),
+                **about)
         if estimate.variance is not None and self._whole:
             return self._in_one_pass(intensity, estimate.variance, about)
         quad, variance = self._channels(intensity, estimate.variance, estimate.valid)

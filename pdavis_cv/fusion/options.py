@@ -89,11 +89,12 @@ class FusionOptions(Options):
         "stream.", "seconds", "end of the images, exclusive, in the same seconds")
     layout: Layout | str | None = option(
         None, "Layout or str, optional",
-        'Polarizer layout, or its name ("pdavis", "sony"); default: that of the '
+        'Polarizer layout, or its name ("pdavis", "sony", "sony-rggb" with colours); '
+        "default: that of the "
         "calibration, else of the recording, else PDAVIS with a LayoutWarning.",
         "layout",
         "polarizers of the 2x2 cell: pdavis, sony or four angles by row, "
-        "e.g. 135,90,0,45")
+        "e.g. 135,90,0,45, with colours as sony-rggb")
     analyser: TurningAnalyser | None = option(
         None, "TurningAnalyser, optional",
         "A polarizer that turns before an event camera without polarizers of its own; "

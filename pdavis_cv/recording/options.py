@@ -52,10 +52,12 @@ class SourceOptions(Options):
     layout: Layout | str | None = option(
         None, "Layout or str, optional",
         'Polarizer layout, or its name ("pdavis", "sony"), which also states the '
-        'sensor, or four angles by row ("135,90,0,45").  Videos and images of a '
+        'sensor, or four angles by row ("135,90,0,45"), with the colours of a colour '
+        'sensor after a hyphen ("sony-rggb").  Videos and images of a '
         "polarization camera need it.", "layout",
         "polarizers of the 2x2 cell: pdavis, sony or four angles by row, e.g. "
-        "135,90,0,45; videos and images of a polarization camera need it")
+        "135,90,0,45, with colours as sony-rggb; videos and images of a polarization "
+        "camera need it")
     sensor: Sensor | str | None = option(
         None, "Sensor or str, optional",
         f"Sensor, or its name: {', '.join(SENSORS)}.  It gives the layout, the "

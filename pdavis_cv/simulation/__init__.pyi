@@ -22,6 +22,7 @@ from .patterns import (
 )
 from .scenes import (
     FULL as FULL,
+    Coloured as Coloured,
     FlatLight as FlatLight,
     Flicker as Flicker,
     PolarizerBeforePlate as PolarizerBeforePlate,

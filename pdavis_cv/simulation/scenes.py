@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._checks import MOST_ANGLE
+from pdavis_cv.sensor import Layout
 from pdavis_cv.simulation.checks import (
     MOST_HZ,
     MOST_LIGHT,
@@ -23,12 +24,14 @@ from pdavis_cv.simulation.checks import (
     instance,
     positive,
     python_numbers,
+    require,
     turning,
     within,
 )
 
 __all__ = [
     "FULL",
+    "Coloured",
     "FlatLight",
     "Flicker",
     "PolarizerBeforePlate",
@@ -151,6 +154,53 @@ class Sum(Scene):
     def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
         """Return the mask of the first scene."""
         return self.first.lit(x, y)
+
+
+@dataclass(frozen=True)
+class Coloured(Scene):
+    """Light of three colours, of which a pixel sees that of its filter.
+
+    It is for cameras whose `Optics` have the same layout.  The truth of a colour is
+    that of its scene.
+
+    Parameters
+    ----------
+    red, green, blue : Scene
+        The light that passes each filter.
+    layout : Layout
+        Of the whole sensor, with colours.
+    """
+
+    red: Scene
+    green: Scene
+    blue: Scene
+    layout: Layout
+
+    def __post_init__(self) -> None:
+        instance(Scene, red=self.red, green=self.green, blue=self.blue)
+        instance(Layout, layout=self.layout)
+        require("layout", str(self.layout), self.layout.colours is not None,
+                "have colours")
+
+    @property
+    def step_us(self) -> float:
+        """Smallest sampling interval of the three, us."""
+        return min(self.red.step_us, self.green.step_us, self.blue.step_us)
+
+    def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
+        """S0, S1, S2 in DN per ms, behind the filter at each place."""
+        cell = np.array(["RGB".index(c) for c in self.layout.colours or ()])
+        row, column = (np.rint(place).astype(np.int64) % 4 for place in (y, x))
+        colour = cell[4 * row + column]
+        red, green, blue = (scene.stokes(t_us, x, y)
+                            for scene in (self.red, self.green, self.blue))
+        s0, s1, s2 = (np.choose(colour, planes)
+                      for planes in zip(red, green, blue, strict=True))
+        return s0, s1, s2
+
+    def lit(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
+        """Return the mask of the green scene."""
+        return self.green.lit(x, y)
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["assumed_full_scale", "colour_spread", "measured_full_scale"]
+from pdavis_cv.sensor import Layout
+
+__all__ = ["assumed_full_scale", "found_colours", "measured_full_scale"]
 
 BITS = (8, 10, 12, 14, 16)
 """Bits of converters."""
@@ -47,11 +50,11 @@ def assumed_full_scale(images: Sequence[NDArray[Any]]) -> int:
     return next((full for full in (4095, 65535) if top <= full), 2**32 - 1)
 
 
-def colour_spread(mosaic: NDArray[Any]) -> float | None:
-    """Return how far the means of 2x2 blocks differ with period 4, None if they do not.
+def found_colours(mosaic: NDArray[Any]) -> str | None:
+    """Return the colours of a colour and polarization camera, None of a monochrome one.
 
-    Colour filters of a colour and polarization camera cover 2x2 blocks each, two of
-    which, on a diagonal, are green.
+    Its filters cover 2x2 pixels each, two of which, on a diagonal, are green, so that
+    their means differ with period 4.  Red is taken as the one in the first row.
 
     Parameters
     ----------
@@ -59,9 +62,26 @@ def colour_spread(mosaic: NDArray[Any]) -> float | None:
 
     Returns
     -------
-    float or None
-        Largest minus smallest mean, relative to their mean.
+    str or None
+        The 16 colours of the 4x4 cell, by row; see `Layout`.
     """
+    best: Layout | None = None
+    spread = 0.0
+    for y, x in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        means = _means_of_blocks(mosaic[y:, x:])
+        if means is not None and np.ptp(means) > spread:
+            spread = float(np.ptp(means))
+            apart, other = abs(means[0] - means[3]), abs(means[1] - means[2])
+            # Where red and blue are as bright as each other, they are the darker two.
+            green_first = apart < other if max(apart, other) > spread / 3 else (
+                means[0] + means[3] > means[1] + means[2])
+            order = "grbg" if green_first else "rggb"
+            best = replace(Layout.SONY, colours=order).crop(-x, -y)
+    return None if best is None else best.colours
+
+
+def _means_of_blocks(mosaic: NDArray[Any]) -> NDArray[Any] | None:
+    """Return the means of 2x2 blocks of 4x4 cells, None if they are no colours."""
     rows, columns = (side // 4 for side in mosaic.shape)
     if rows * columns < 16:
         return None
@@ -75,10 +95,10 @@ def colour_spread(mosaic: NDArray[Any]) -> float | None:
     whole = blocks.mean(axis=(1, 3), keepdims=True)
     # Relative to their cell, so that the scene's brightness cancels.
     relative = (blocks / np.maximum(whole, 1)).transpose(1, 3, 0, 2).reshape(4, -1)
-    means = relative.mean(axis=1)
+    means: NDArray[Any] = relative.mean(axis=1)
     sigma = float(relative.std(axis=1).max()) / np.sqrt(rows * columns)
-    spread = float(np.ptp(means))
+    spread = np.ptp(means)
     green = min(abs(means[0] - means[3]), abs(means[1] - means[2]))
-    if spread < max(LEAST_SPREAD, LEAST_SIGMAS * sigma) or green > spread / 3:
-        return None
-    return spread
+    colours = (spread >= max(LEAST_SPREAD, LEAST_SIGMAS * sigma)
+               and green <= spread / 3)
+    return means if colours else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.errors import PdavisWarning, RecordingError
+from pdavis_cv.errors import LayoutWarning, PdavisWarning, RecordingError
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
 from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, MEASURED, Fact, stated
 from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.images.checks import (
     assumed_full_scale,
-    colour_spread,
+    found_colours,
     measured_full_scale,
 )
 from pdavis_cv.recording.images.names import by_angle, names_of
@@ -59,7 +60,12 @@ class ImageRecording(FileRecording):
     Raises
     ------
     RecordingError
-        If there is no image, it is not grey, or colour filters lie over it.
+        If there is no image, or it is not grey.
+
+    Warns
+    -----
+    LayoutWarning
+        If colour filters are found and the layout states none.
     """
 
     def __init__(
@@ -81,9 +87,10 @@ class ImageRecording(FileRecording):
         if first is None:
             raise RecordingError(f"{source}: holds no image")
         self._four, self._size = first.ndim == 3, first.shape
+        layout: Layout | None = None
         facts = pictures.facts
         if not self._four:
-            self._check_mosaic(first, options.known_layout)
+            layout = self._with_colours(first, options.known_layout)
             if facts.lossy:
                 self._log.add(
                     "lossy codec", 0, f"codec {facts.lossy} loses detail that the four "
@@ -100,7 +107,7 @@ class ImageRecording(FileRecording):
         return RecordingInfo(
             format=f"four planes, {facts.kind}" if self._four else facts.kind,
             **stated(options, sensor_size=(height, width),
-                     layout=self._layout if self._four else None,
+                     layout=self._layout if self._four else layout,
                      exposure_us=self._exposure_us or None, frame_times=times,
                      full_scale_dn=full_scale),
             start_us=0, stop_us=None if last is None else last + self._exposure_us + 1,
@@ -126,18 +133,24 @@ class ImageRecording(FileRecording):
         return several(names) if four is None else FourPictures(
             [several(files) for files in four])
 
-    def _check_mosaic(self, first: NDArray[Any], layout: Layout | None) -> None:
+    def _with_colours(
+        self, first: NDArray[Any], layout: Layout | None
+    ) -> Layout | None:
+        """Return the layout with colours that are found, None for the caller's."""
         if layout is None:
             raise RecordingError(
                 f"{self._path}: images of a polarization camera need its layout "
                 '(layout="sony"), unless they are four planes I0, I45, I90, I135')
-        spread = colour_spread(first)
-        if spread is not None:
-            raise RecordingError(
-                f"{self._path}: a mosaic of colours and polarizers (as IMX250MYR): its "
-                f"2x2 blocks differ by {spread:.0%} with period 4; its colours are not "
-                "read together: save rows and columns 0, 1, 4, 5, .. as the mosaic of "
-                "one colour")
+        found = None if layout.colours else found_colours(first)
+        if found is None:
+            return None
+        layout = replace(layout, owner=None, colours=found)
+        self._log.add(
+            "colours", 0, "a mosaic of colours and polarizers (as IMX250MYR), found "
+            "from its means, which do not tell red from blue; state "
+            f'layout="{layout.stored_angles}", or the same with r and b exchanged',
+            warning=LayoutWarning)
+        return layout
 
     def _set_times(self, source_fps: float | None) -> Fact:
         """Set what `_time` needs; return the frames' rate or the kind of times."""

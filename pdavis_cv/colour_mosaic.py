@@ -1,0 +1,124 @@
+"""Mosaics of colours and polarizers: one mosaic of polarizers for each colour.
+
+Each colour filter covers 2x2 pixels, which stand behind the four polarizers.
+"""
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv import _kernels
+from pdavis_cv._types import Image
+from pdavis_cv.sensor import Layout
+
+__all__ = ["COLOURS", "COLOUR_METHODS", "COLOUR_REACH", "colour_mosaics", "joint"]
+
+COLOURS = ("red", "green", "blue")
+"""The colours in the order of an array's planes."""
+
+COLOUR_METHODS = ("bilinear", "guided")
+"""Methods of demosaicing for a layout with colours."""
+
+COLOUR_REACH = {"bilinear": 2, "guided": 20}
+"""Distance up to which `colour_mosaics` depends on other pixels.
+
+Guided: 4 of a mean around a pixel, 2 of its guide; then 12 and 2."""
+
+# Taps along rows and along columns.  Those of the guide leave nothing of the periods of
+# colours (4) and of polarizers (2); those of means weigh all places of a cell alike.
+_CELL = np.array([1, 2, 2, 2, 1], np.float32) / np.float32(8)
+_NEAR = np.array([1, 3, 6, 9, 10, 9, 6, 3, 1], np.float32) / np.float32(48)
+_FAR = np.array([1, 2, 3, 4, 5, 6, 7, 6, 5, 4, 3, 2, 1], np.float32) / np.float32(49)
+_NEXT = np.array([1, 2, 1], np.float32)
+_FLOOR = 0.02
+"""Smallest ratio of a colour or channel to the mean of all: below is noise."""
+
+
+def colour_mosaics(
+    mosaic: Image, layout: Layout, method: str, valid: NDArray[np.bool_] | None = None,
+) -> NDArray[np.float32]:
+    """Return what the pixels would measure behind each colour; own samples are kept.
+
+    ``"bilinear"`` takes a colour from its nearest samples behind the same polarizer.
+    ``"guided"`` multiplies the pixel's own sample by the ratio of two colours in its
+    surroundings, so that the detail of the image is that of all pixels.  The ratio is
+    that of colours whatever the polarizer, from near by, times that of the colours'
+    polarization, from farther off.
+
+    Parameters
+    ----------
+    mosaic : ndarray of uint8, uint16 or float32, shape (H, W), sides >= 4
+    layout : Layout
+        With colours.
+    method : {"bilinear", "guided"}
+    valid : ndarray of bool, shape (H, W), optional
+        True = usable; the samples that are not do not count.
+
+    Returns
+    -------
+    ndarray of float32, shape (3, H, W)
+        In the order of `COLOURS`.
+    """
+    image = np.ascontiguousarray(mosaic, np.float32)
+    cell = np.array(["RGB".index(c) for c in layout.colours or ()], np.uint8)
+    cell = cell.reshape(4, 4)
+
+    def means(image: Image, guide: Image, taps: Image, step: int) -> Image:
+        out = np.empty((3, *image.shape), np.float32)
+        ends = (len(taps) - 1) * step
+        _kernels.colour_means(
+            image, guide, cell, taps, step,
+            np.empty(27 * (image.shape[1] + ends), np.float32), out)
+        return out
+
+    def smooth(image: Image) -> Image:
+        out = np.empty_like(image)
+        _kernels.smooth(image, _CELL, np.empty(image.shape[1] + 4, np.float32), out)
+        return out
+
+    def guide(image: Image) -> Image:
+        """Return the local mean of usable samples, 0 at the others."""
+        if valid is None:
+            return smooth(image)
+        part = smooth(valid.astype(np.float32))
+        np.maximum(part, _FLOOR, out=part)
+        return smooth(np.where(valid, image, np.float32(0))) / part * valid
+
+    def own(planes: Image) -> Image:
+        """Return of each pixel the plane of its colour."""
+        out = np.empty_like(image)
+        for k, c in enumerate(cell.flat):
+            out[k // 4::4, k % 4::4] = planes[c, k // 4::4, k % 4::4]
+        return out
+
+    if method == "bilinear":
+        out = means(image, np.ones_like(image) if valid is None
+                    else valid.astype(np.float32), _NEXT, 2)
+        for k, c in enumerate(cell.flat):
+            out[c, k // 4::4, k % 4::4] = image[k // 4::4, k % 4::4]
+        return out
+    tint = means(image, guide(image), _NEAR, 1)
+    np.maximum(tint, _FLOOR, out=tint)
+    grey = image / own(tint)
+    out = means(grey, guide(grey), _FAR, 2)
+    np.maximum(out, _FLOOR, out=out)
+    grey /= own(out)
+    out *= tint
+    out *= grey
+    return out
+
+
+def joint(quads: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return what all colours say together of polarization, shape (4, H, W).
+
+    The mean of all samples, of which half are green.  Where light is counted in
+    electrons, that weights degree and angle of each colour by their inverse variance.
+
+    Parameters
+    ----------
+    quads : ndarray of float32, shape (3, 4, H, W)
+    """
+    out: NDArray[np.float32] = quads[0] + quads[2]
+    out *= np.float32(0.25)
+    out += np.float32(0.5) * quads[1]
+    return out
