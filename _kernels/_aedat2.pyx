@@ -95,7 +95,7 @@ def aedat2_rows(const uint8_t[:, ::1] words not None, Py_ssize_t n, int64_t orig
     The word after them is looked at as well.  origin is added to times.
     """
     cdef Py_ssize_t i = 0, others = 0
-    cdef uint64_t here
+    cdef uint64_t here, following
     cdef bint fallen = False
     cdef const uint8_t* source
     cdef event_t* to
@@ -113,13 +113,18 @@ def aedat2_rows(const uint8_t[:, ::1] words not None, Py_ssize_t n, int64_t orig
             i += plain(source + 8 * i, n - i, origin, height, width, to + i, &fallen)
             if i == n:
                 break
-            here = word(source + 8 * i)
-            to[i].t = <int32_t>here + origin
-            to[i].x = <uint16_t>(here >> 32)
-            to[i].y = <uint16_t>(here >> 48)
-            to[i].p = OTHER
-            others += 1
-            i += 1
+            while True:     # words of other kinds come in runs
+                here = word(source + 8 * i)
+                to[i].t = <int32_t>here + origin
+                to[i].x = <uint16_t>(here >> 32)
+                to[i].y = <uint16_t>(here >> 48)
+                to[i].p = OTHER
+                others += 1
+                i += 1
+                following = word(source + 8 * i)
+                fallen |= <int32_t>following < <int32_t>here
+                if i == n or not following >> 63:
+                    break
     state[FILLED] += n
     if fallen:
         state[ORDERED] = -1

@@ -12,6 +12,8 @@ from pdavis_cv.errors import RecordingError
 
 __all__ = ["FileReader", "RemoteReader"]
 
+_POSITIONED = hasattr(os, "preadv")     # which Windows lacks
+
 
 class FileReader:
     """A file that several threads may read at any position.
@@ -78,7 +80,7 @@ class FileReader:
         Reusing memory is faster than allocating it for each read.  Raises the errors of
         `read`.
         """
-        if not hasattr(os, "preadv"):
+        if not _POSITIONED:
             data = self.read(offset, len(buffer))
             buffer[:len(data)] = data
             return len(data)
@@ -100,9 +102,9 @@ class FileReader:
             f"{self.path}: byte {offset} cannot be read: {error.strerror}")
 
     def _pread(self, size: int, offset: int) -> bytes:
-        if hasattr(os, "pread"):
+        if _POSITIONED:
             return os.pread(self._descriptor, size, offset)
-        with self._lock:  # Windows has no positioned read
+        with self._lock:
             os.lseek(self._descriptor, offset, os.SEEK_SET)
             return os.read(self._descriptor, size)
 

@@ -38,6 +38,10 @@ FRAMES_UNDER_WAY = 3
 KEPT_BYTES = 1 << 22
 """Packets that were examined ahead are kept up to this size, larger ones read again."""
 
+GROUP, SMALL = 8, 16384
+"""So many packets are put in order at a time, if none has more events; they lie between
+multiples of the number, so that findings are those of any other reading."""
+
 Mark = tuple[str, int, Clock, tuple[int, int]]
 """Kind and number of a packet, clock before it, middle and end of the last frame."""
 _Times = tuple[int, int, int, int, int, int]
@@ -118,15 +122,14 @@ class Cursor:
             final = number == len(self._entries)
             if final and not number:
                 return None
-            entry = self._entries[number - final]
             try:
                 jumps = self.clock.jumps
                 got = (self._events if self.kind == "EVTS" else self._samples)(
                     number, final=final)
             except PayloadError as error:
-                self._file.lost(entry, error)
+                self._file.lost(self._entries[number], error)
                 continue
-            self._count(entry, final, jumps)
+            self._count(self._entries[self.next - 1 - final], final, jumps)
             self.last = self.clock.last
             return self._frames(got) if self.kind == "FRME" else got
         return None
@@ -149,20 +152,32 @@ class Cursor:
     def _events(self, number: int, *, final: bool) -> NDArray[Any]:
         if final:
             return self.clock.settled(self.clock.room(self._memory, 0), final=True)
-        entry = self._entries[number]
-        data, table = self._table(entry)
-        at, count = samples.event_vector(table)
-        bounds = self._neighbours(number) if self._trusted else self._possible(
-            _times(data, at, count))
+        packets, entries = [(number, *self._vector(number))], self._entries
+        while self._trusted and not self._strict and self.next % GROUP and (
+                self.next < len(entries)) and all(
+                (e.count or 0) <= SMALL for e in entries[self.next - 1:self.next + 1]):
+            number, self.next = self.next, self.next + 1
+            try:
+                packets.append((number, *self._vector(number)))
+            except PayloadError as error:
+                self._file.lost(entries[number], error)
         state, jumps = self.clock.state, self.clock.jumps
-        out = self.clock.room(self._memory, count)
-        _kernels.aedat4_events(np.frombuffer(data, np.uint8), at, count, *self._size,
-                               self._jaer, *bounds, state, out)
+        out = self.clock.room(self._memory, sum(count for *_, count in packets))
+        for number, data, at, count in packets:
+            bounds = self._neighbours(number) if self._trusted else self._possible(
+                _times(data, at, count))
+            _kernels.aedat4_events(np.frombuffer(data, np.uint8), at, count,
+                                   *self._size, self._jaer, *bounds, state, out)
         got = self.clock.settled(out)
         if self._strict and (state[OUTSIDE] or state[BACKWARD]):
-            self._refuse(entry, np.ndarray((count,), _EVENT, data, at), bounds,
-                         falls=self.clock.jumps == jumps)
+            self._refuse(entries[number], np.ndarray((count,), _EVENT, data, at),
+                         bounds, falls=self.clock.jumps == jumps)
         return got
+
+    def _vector(self, number: int) -> tuple[bytes, int, int]:
+        """Return a packet of events, the place of the first, and their number."""
+        data, table = self._table(self._entries[number])
+        return data, *samples.event_vector(table)
 
     def _refuse(self, entry: Entry, events: NDArray[Any], bounds: tuple[int, int], *,
                 falls: bool) -> None:
