@@ -31,6 +31,8 @@ __all__ = [
     "together",
 ]
 
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+
 
 def opened(
     args: argparse.Namespace, file: AnySource | None = None
@@ -76,17 +78,28 @@ def source_of(
         If it cannot be opened.
     """
     from pdavis_cv import open_source
-    from pdavis_cv.recording.hdf5.probe import proved
     where = args.file if file is None else file
-    if isinstance(where, str | os.PathLike):
-        proved(where)
-    return open_source(where, **source_given(args))
+    given = source_given(args)
+    if isinstance(where, str | os.PathLike) and _is_hdf5(where):
+        from pdavis_cv.recording import sandbox
+        given.setdefault("isolated", sandbox.available())
+    return open_source(where, **given)
+
+
+def _is_hdf5(path: str | os.PathLike[str]) -> bool:
+    """Return whether the HDF5 library, which damage can hang, reads a file."""
+    try:
+        with Path(path).open("rb") as file:
+            return file.read(len(_HDF5)) == _HDF5
+    except (OSError, ValueError):
+        return False
 
 
 def source_given(args: argparse.Namespace) -> dict[str, Any]:
     """Return what the options of a command state about its source."""
-    return {name: value for name, _ in offered(source_options())
-            if (value := getattr(args, name, None)) is not None}
+    values = {name: getattr(args, name, None) for name, _ in offered(source_options())}
+    return {name: value for name, value in values.items()
+            if value is not None and value is not False}
 
 
 class _Source(argparse.Action):

@@ -12,6 +12,7 @@ from pdavis_cv._remote import as_path, is_remote
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.images.reader import is_four_planes
+from pdavis_cv.recording.isolated import IsolatedRecording
 from pdavis_cv.recording.options import SourceKeywords, SourceOptions
 from pdavis_cv.recording.registry import FORMATS, first_bytes, format_of, read_with
 from pdavis_cv.recording.text_form import PNM
@@ -67,6 +68,8 @@ def open_recording(
     if isinstance(source, Recording):
         return source
     options = changed(SourceOptions, options, changes)
+    if options.isolated:
+        return IsolatedRecording(source, options)
     if not isinstance(source, str | os.PathLike):
         if not isinstance(source, Sequence) or not all(
                 isinstance(one, str | os.PathLike) for one in source) or not source:

@@ -107,6 +107,13 @@ class SourceOptions(Options):
         "Default: `Limits()`, which no known recording comes near.", "limits",
         "what the file may make its reader take: memory=BYTES,ratio=R,work_per_byte=W,"
         "time_span=US; the defaults suit all known recordings")
+    isolated: bool = option(
+        False, "bool",
+        "Whether a process of its own reads the file, which has no network, reads only "
+        "the file's folder and installed programs, writes nothing, and is limited in "
+        "memory and time: for files of strangers.  Linux only.", "flag",
+        "read the file in a process without network and write access, for files of "
+        "strangers (Linux)")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -130,6 +137,9 @@ class SourceOptions(Options):
             raise ValueError("give bits or full_scale_dn, not both")
         if not isinstance(self.limits, Limits | None):
             raise TypeError(f"limits must be Limits, got {type(self.limits).__name__}")
+        if not isinstance(self.isolated, bool):
+            raise TypeError(
+                f"isolated must be a bool, got {type(self.isolated).__name__}")
         if self.bad_events not in _BAD_EVENTS:
             raise ValueError(f"bad_events must be one of {', '.join(_BAD_EVENTS)}, got "
                              f"{self.bad_events!r}")
@@ -179,6 +189,7 @@ class SourceKeywords(TypedDict, total=False):
     columns: str | None
     bad_events: str
     limits: Limits | None
+    isolated: bool
 
 
 def source_part(parameters: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ __all__ = ["FORMATS", "first_bytes", "format_of", "is_recording", "read_with",
 
 _HEAD = 4096
 _ALWAYS = frozenset((
-    "layout", "sensor", "sensor_size", "camera", "bad_events", "limits"))
+    "layout", "sensor", "sensor_size", "camera", "bad_events", "limits", "isolated"))
 """Options that every format has."""
 
 _ALL = frozenset(("events", "frames", "imu", "triggers"))

@@ -1,0 +1,212 @@
+"""Recordings that a process of their own reads, limited by the system.
+
+The library that decodes a file can hang, crash or take gigabytes on a damaged one, and
+a made-up one may take over the process.
+"""
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import mmap
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import warnings
+import weakref
+from collections.abc import Iterator, Sequence
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import pdavis_cv.errors
+from pdavis_cv._remote import is_remote
+from pdavis_cv.errors import RecordingError
+from pdavis_cv.recording import sandbox, wire
+from pdavis_cv.recording.base import Packet, Problem, Recording, RecordingInfo
+from pdavis_cv.recording.limits import Limits
+from pdavis_cv.recording.members import Member, members_of
+from pdavis_cv.recording.options import SourceOptions
+
+__all__ = ["IsolatedRecording"]
+
+_MOST_TEXT = 16 << 20
+"""Bytes of an answer beside its arrays."""
+_SECONDS, _BYTES_PER_S = 10, 1e6
+"""Time of a processor for an answer, and bytes of the file that each second adds.  The
+slowest reader does 10 MB in one."""
+_SERVE = ("import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
+          "from pdavis_cv.recording.isolated_reader import serve; "
+          "serve(*map(int, sys.argv[2:]))")
+_CLASSES: dict[str, Any] = {
+    **{name: getattr(pdavis_cv.errors, name) for name in pdavis_cv.errors.__all__},
+    "TypeError": TypeError, "ValueError": ValueError, "UserWarning": UserWarning}
+
+
+class IsolatedRecording(Recording):
+    """A recording that another process reads; see `open_recording`.
+
+    Parameters
+    ----------
+    source : path, or sequence of paths
+    options : SourceOptions
+        As of `open_recording`.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be opened, its process dies, or the system has no such processes.
+    """
+
+    def __init__(self, source: Any, options: SourceOptions) -> None:
+        self._source, self._options = source, options
+        single = isinstance(source, str | os.PathLike)
+        paths = [source] if single else list(source)
+        self._path = Path(paths[0]) if single else None
+        self._problems: tuple[Problem, ...] = ()
+        self._lock, self._numbers = threading.Lock(), itertools.count()
+        if not sandbox.available():
+            raise RecordingError("isolated=True needs Linux 5.13 or later, on x86-64 "
+                                 "or ARM, with Landlock and seccomp")
+        if any(map(is_remote, paths)):
+            raise RecordingError(f"{source}: isolated=True has no network: copy it to "
+                                 "a disk")
+        folders = {Path(one).resolve().parent for one in paths}
+        files: tuple[Member, ...] = ()
+        with contextlib.suppress(RecordingError, OSError):      # said by its process
+            files = members_of(source)
+            folders |= {one.path.resolve().parent for one in files}
+        size = sum(one.size for one in files)
+        self._start((options.limits or Limits()).memory)
+        try:
+            self._name, self._info = self._ask(
+                [*map(str, folders)], _SECONDS + size / _BYTES_PER_S, source,
+                options.replace(isolated=False))
+        except BaseException:
+            self.close()
+            raise
+
+    def _start(self, most: int) -> None:
+        with contextlib.ExitStack() as stack:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(
+                prefix="pdavis-", ignore_cleanup_errors=True))
+            shared = sandbox.own_memory(most)
+            hears, self_asks = os.pipe()
+            self_hears, says = os.pipe()
+            self._asks = Connection(self_asks, readable=False)
+            self._hears = Connection(self_hears, writable=False)
+            self._memory = mmap.mmap(shared, most, prot=mmap.PROT_READ)
+            for one in (self._asks, self._hears):
+                stack.callback(one.close)
+            path = [os.path.abspath(one) for one in sys.path]
+            theirs = hears, says, shared
+            try:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-P", "-W", "ignore", "-c", _SERVE,
+                     json.dumps(path), str(most), *map(str, theirs)],
+                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL, pass_fds=theirs,
+                    # OpenBLAS threads would reserve memory for each core.
+                    env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "TMPDIR": folder})
+            finally:
+                for descriptor in theirs:
+                    os.close(descriptor)
+            stack.callback(self._process.wait)
+            stack.callback(self._process.kill)
+            self._end = weakref.finalize(self, stack.pop_all().close)
+
+    def _ask(self, *question: Any) -> Any:
+        """Return what the process answers.
+
+        Raises
+        ------
+        ValueError
+            If the recording was closed.
+        RecordingError
+            If the process died, or sends what is no answer.
+        """
+        with self._lock:
+            if not self._end.alive:
+                raise ValueError(f"{self.name}: recording is closed")
+            try:
+                self._asks.send_bytes(pickle.dumps(question))
+                answer = wire.read(
+                    self._hears.recv_bytes(_MOST_TEXT), memoryview(self._memory))
+                value, error, problems, said = answer
+            except (EOFError, OSError):
+                raise self._died() from None
+            except (ValueError, TypeError, KeyError, IndexError, RecursionError) as bad:
+                raise RecordingError(f"{self._where()}: the process that reads it sent "
+                                     f"no answer: {bad}") from bad
+            except BaseException:       # an interrupt: the answer is still to come
+                self._end()
+                raise
+            self._problems = problems
+        for kind, text in said:
+            warnings.warn(text, _CLASSES.get(kind, UserWarning), stacklevel=3)
+        if error is not None:
+            kind, text = error
+            raise _CLASSES.get(kind, RecordingError)(text)
+        return value
+
+    def _where(self) -> str:
+        return str(self._source if self._path is None else self._path)
+
+    def _died(self) -> RecordingError:
+        code = self._process.wait()
+        self._end()
+        how = (f"took more than {_SECONDS} s for an answer" if code == -signal.SIGXCPU
+               else f"died ({signal.Signals(-code).name})" if code < 0 else "ended")
+        return RecordingError(f"{self._where()}: the process that reads it {how}: the "
+                              "file is damaged")
+
+    @property
+    def info(self) -> RecordingInfo:
+        """Header facts."""
+        info: RecordingInfo = self._info
+        return info
+
+    @property
+    def problems(self) -> Sequence[Problem]:
+        """Problems found so far."""
+        return self._problems
+
+    @property
+    def path(self) -> Path | None:
+        """The file that is read, None if there are several."""
+        return self._path
+
+    @property
+    def members(self) -> tuple[Member, ...]:
+        """The files that it is made of."""
+        return members_of(self._source)
+
+    @property
+    def name(self) -> str:
+        """Short name for people."""
+        name: str = getattr(self, "_name", self._where())
+        return name
+
+    def packets(
+        self, start_us: int | None = None, stop_us: int | None = None
+    ) -> Iterator[Packet]:
+        """Iterate over the samples with start_us <= time < stop_us, in time order."""
+        number = next(self._numbers)
+        self._ask("window", number, start_us, stop_us)
+        try:
+            while packets := self._ask("next", number):
+                yield from packets
+        finally:
+            with contextlib.suppress(ValueError, RecordingError):
+                self._ask("end", number)
+
+    def close(self) -> None:
+        """End the process; reading afterwards raises ValueError."""
+        self._end()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self._source, self._options)

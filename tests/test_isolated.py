@@ -1,0 +1,190 @@
+"""A file that another process reads, which can do nothing else."""
+import os
+import pickle
+import signal
+import textwrap
+
+import numpy as np
+import pytest
+from test_aedat4 import joined
+from test_aedat4_writer import small
+
+from pdavis_cv import (
+    LayoutError,
+    Limits,
+    PdavisWarning,
+    RecordingError,
+    open_recording,
+    write_aedat4,
+)
+from pdavis_cv.recording import isolated, sandbox
+from pdavis_cv.recording.hdf5.writer import write_hdf5
+from pdavis_cv.tools.main import main
+
+pytestmark = pytest.mark.skipif(not sandbox.available(), reason="Linux 5.13")
+
+READER = '''
+import os, socket, subprocess, sys, tempfile, warnings
+from pathlib import Path
+import numpy as np
+from pdavis_cv import FileRecording, PdavisWarning, RecordingInfo
+from pdavis_cv.recording.format import Format
+
+
+class Reader(FileRecording):
+    def _open(self, options):
+        exec(self._path.read_text())
+        return RecordingInfo(format="bad", sensor_size=(4, 4))
+
+    def packets(self, start_us=None, stop_us=None):
+        yield from ()
+
+
+BAD = Format(name="bad", title="Bad", magic=(b"# bad",), reader="bad_events:Reader")
+'''
+
+
+@pytest.fixture
+def reads(tmp_path, monkeypatch):
+    """Return a function that opens a file whose reader does what the file says."""
+    facts = tmp_path / "site/bad-1.0.dist-info"
+    facts.mkdir(parents=True)
+    (tmp_path / "site/bad_events.py").write_text(READER)
+    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: bad\nVersion: 1.0\n")
+    (facts / "entry_points.txt").write_text(
+        "[pdavis_cv.formats]\nbad = bad_events:BAD\n")
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+
+    def opened(code, **options):
+        path = tmp_path / "there/x.bad"
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("# bad\n" + textwrap.dedent(code))
+        return open_recording(path, isolated=True, **options)
+    return opened
+
+
+def same(one, other):
+    """Assert that two recordings give the same packets."""
+    assert one.info == other.info
+    assert one.name == other.name
+    assert [m.path.name for m in one.members] == [m.path.name for m in other.members]
+    for a, b in zip(one.packets(), other.packets(), strict=True):
+        for name in ("events", "imu", "triggers"):
+            got, want = getattr(a, name), getattr(b, name)
+            np.testing.assert_array_equal(got, want)
+            assert got.dtype == want.dtype
+            assert got.flags.writeable
+        for got, want in zip(a.frames, b.frames, strict=True):
+            for name in ("exposure_start_us", "exposure_end_us", "available_us",
+                         "full_scale_dn", "valid", "reset", "signal", "dn"):
+                np.testing.assert_array_equal(
+                    getattr(got, name), getattr(want, name))
+        assert a.until_us == b.until_us
+    assert one.problems == other.problems
+
+
+@pytest.mark.parametrize("write", [write_aedat4, write_hdf5])
+def test_what_is_read_is_the_same(tmp_path, write):
+    path = tmp_path / ("x.h5" if write is write_hdf5 else "x.aedat4")
+    write(path, small())
+    with open_recording(path) as here, open_recording(path, isolated=True) as there:
+        same(there, here)
+        whole = here.events()
+        t = whole["t"][len(whole) // 2]
+        np.testing.assert_array_equal(there.events(t), whole[whole["t"] >= t])
+        with pickle.loads(pickle.dumps(there)) as again:
+            assert len(again.events()) == len(whole)
+
+
+def test_real_files_are_the_same(data_dir):
+    for name, given in (
+            ("stereo.aedat4", {"camera": "00000002"}), ("v2e_240x180.aedat", {}),
+            ("davis_ros2", {}), ("vfr.mkv", {"layout": "sony"})):
+        path = data_dir / "public" / name
+        with open_recording(path, **given) as here, open_recording(
+                path, isolated=True, **given) as there:
+            same(there, here)
+
+
+def test_windows_are_read_in_turns(tmp_path):
+    write_aedat4(tmp_path / "x.aedat4", small())
+    with open_recording(tmp_path / "x.aedat4", isolated=True) as recording:
+        whole = joined(recording.packets())[0]
+        one, two = recording.packets(), recording.packets()
+        parts = [[], []]
+        for pair in zip(one, two, strict=True):
+            for part, packet in zip(parts, pair, strict=True):
+                part.append(packet.events)
+        for part in parts:
+            np.testing.assert_array_equal(np.concatenate(part), whole)
+        next(recording.packets())   # and one that is left
+
+
+@pytest.mark.parametrize("code", [
+    "Path('{outside}/secret').read_text()", "os.listdir('{outside}')",
+    "Path('{outside}/made').write_text('x')", "(self._path.parent / 'y').touch()",
+    "os.unlink('{outside}/secret')", "socket.create_connection(('127.0.0.1', 9))",
+    "socket.socket(socket.AF_UNIX)", "subprocess.run(['/bin/true'])",
+    "os.truncate(self._path, 0)"])
+def test_it_reaches_nothing_else(reads, tmp_path, code):
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "outside/secret").write_text("secret")
+    with pytest.raises(RecordingError, match=r"ermission denied|not permitted"):
+        reads(code.replace("{outside}", str(tmp_path / "outside")))
+    assert (tmp_path / "outside/secret").exists()
+
+
+def test_it_writes_to_temporary_files_which_go_with_it(reads):
+    with pytest.warns(PdavisWarning) as caught:
+        recording = reads("""
+            place = Path(tempfile.mkdtemp()) / "x"
+            place.write_bytes(bytes(1000))
+            warnings.warn(str(place.parent), PdavisWarning)
+            """)
+    folder = str(caught[0].message)
+    with recording:
+        assert os.path.isdir(folder)
+    assert not os.path.exists(folder)
+
+
+@pytest.mark.parametrize(("code", "message"), [
+    ("bytearray(4 << 30)", "limit memory="),
+    ("while True: pass", "took more than"),
+    ("os.abort()", "died .SIGABRT"),
+    ("os._exit(1)", "process that reads it ended"),
+    ("1 / 0", "division by zero"),
+    ("for fd in range(3, 30):\n    try: os.write(fd, bytes([0, 0, 0, 4]) + b'junk')\n"
+     "    except OSError: pass", "sent no answer")])
+def test_a_reader_that_fails_is_an_error(reads, monkeypatch, code, message):
+    monkeypatch.setattr(isolated, "_SECONDS", 0.5)
+    with pytest.raises(RecordingError, match=message):
+        reads(code, limits=Limits(memory=64 << 20))
+
+
+def test_errors_are_of_their_class(tmp_path):
+    write_aedat4(tmp_path / "x.aedat4", small())
+    for kind, given in ((TypeError, {"bits": 10}), (LayoutError, {"layout": "x"})):
+        with pytest.raises(kind):
+            open_recording(tmp_path / "x.aedat4", isolated=True, **given)
+    with pytest.raises(RecordingError, match="cannot be opened: No such file"):
+        open_recording(tmp_path / "none", isolated=True)
+    with pytest.raises(RecordingError, match="has no network"):
+        open_recording("s3://bucket/x.aedat4", isolated=True)
+    recording = open_recording(tmp_path / "x.aedat4", isolated=True)
+    recording.close()
+    with pytest.raises(ValueError, match="recording is closed"):
+        next(recording.packets())
+
+
+def test_a_process_that_dies_later_is_an_error(tmp_path):
+    write_aedat4(tmp_path / "x.aedat4", small())
+    with open_recording(tmp_path / "x.aedat4", isolated=True) as recording:
+        os.kill(recording._process.pid, signal.SIGKILL)
+        with pytest.raises(RecordingError, match=r"died .SIGKILL"):
+            recording.events()
+
+
+def test_a_command_isolates(tmp_path, capsys):
+    write_aedat4(tmp_path / "x.aedat4", small())
+    assert main(["info", "--isolated", str(tmp_path / "x.aedat4")]) == 0
+    assert "AEDAT-4" in capsys.readouterr().out
