@@ -64,19 +64,19 @@ def threads_ended():
 def _open_files():
     """Return (descriptor, path) of each regular file that this process holds."""
     found = set()
-    for entry in Path("/proc/self/fd").glob("*"):
+    for number in os.listdir("/proc/self/fd") if os.path.isdir("/proc/self/fd") else ():
         try:
-            path = Path(os.readlink(entry))
+            path = os.readlink(f"/proc/self/fd/{number}")
         except OSError:
             continue  # the descriptor of the listing itself
-        ours = path.suffix != ".ttf"      # matplotlib keeps its fonts open
-        if ours and path.is_absolute() and path.is_file() and (
-                path.parts[1] not in DEVICES):
-            found.add((entry.name, str(path)))
+        ours = not path.endswith(".ttf")      # matplotlib keeps its fonts open
+        if ours and path.startswith("/") and not path.startswith(DEVICES) and (
+                os.path.isfile(path)):
+            found.add((number, path))
     return found
 
 
-DEVICES = ("dev", "proc", "sys")
+DEVICES = ("/dev/", "/proc/", "/sys/")
 
 
 @pytest.hookimpl(wrapper=True)
@@ -102,13 +102,23 @@ def silence_tells_no_time(monkeypatch):
     monkeypatch.setattr("pdavis_cv.live.dv.MARGIN_US", 1 << 60)
 
 
-@pytest.fixture
-def learns_from_little(monkeypatch):
-    """Let cameras be learned from a few samples, in tests of what is done with them."""
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    """Let cameras be learned from a few samples, where accuracy is not the subject.
+
+    Tests that take long, those of the lab, and those marked `accuracy` learn as users
+    do.
+    """
     from pdavis_cv.pixel import learn, rows
 
-    monkeypatch.setattr(learn, "STARTS_US", (0,))
-    monkeypatch.setattr(learn, "MOST_SEARCHED", (400, 400))
-    monkeypatch.setattr(learn, "MOST_TRIED", 400)
-    monkeypatch.setattr(learn, "MOST_FURTHER", 400)
-    monkeypatch.setattr(rows, "MOST_ROWS", 1000)
+    whole = item.path.parent != ROOT / "tests" or any(
+        item.get_closest_marker(name) for name in ("accuracy", "gate"))
+    for module, name, few in (
+            (learn, "STARTS_US", (0,)), (learn, "MOST_SEARCHED", (400, 400)),
+            (learn, "MOST_TRIED", 400), (learn, "MOST_FURTHER", 400),
+            (rows, "MOST_ROWS", 1000)):
+        usual = _USUAL.setdefault(name, getattr(module, name))
+        setattr(module, name, usual if whole else few)
+
+
+_USUAL = {}

@@ -12,6 +12,8 @@ from ideal import rotating_polarizer
 from pdavis_cv import fuse
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 
+pytestmark = pytest.mark.accuracy
+
 SPEEDS_RPM = (30, 60, 100, 200, 500, 1000)
 # AoP error in degrees, DoLP error: complementary filter, frames at mid-exposure.
 STUDY_CF = (

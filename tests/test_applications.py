@@ -60,7 +60,7 @@ def test_fan_measures_what_the_images_say_and_writes_the_video(
     recording, (x, y) = wheel if rpm == 200 else wheel_at(rpm)
     opens_by(monkeypatch, opener({"a": recording}))
     out = tmp_path / "fan.webm"
-    assert fan.main(["a", "-o", str(out), "--fps", "100", "--slow", "5", "--centre",
+    assert fan.main(["a", "-o", str(out), "--fps", "50", "--slow", "5", "--centre",
                      f"{x},{y}", "--radius", "24", "--hub", "12", "--rpm", str(rpm),
                      "--method", method, "--still", str(tmp_path / "s.png")]) == 0
     text = capsys.readouterr().out
@@ -68,13 +68,13 @@ def test_fan_measures_what_the_images_say_and_writes_the_video(
     count, rate = reader.get(cv2.CAP_PROP_FRAME_COUNT), reader.get(cv2.CAP_PROP_FPS)
     size = int(reader.get(3)), int(reader.get(4))
     reader.release()
-    assert f"{count:.0f} pictures of {size[0]}x{size[1]}, 20 per second" in text
-    assert rate == 20
+    assert f"{count:.0f} pictures of {size[0]}x{size[1]}, 10 per second" in text
+    assert rate == 10
     assert size[0] % 2 == size[1] % 2 == 0
     facts = read_embedded(out)
     assert (facts["method"], facts["slow"]) == (method, 5)
     assert read_embedded(tmp_path / "s.png") == facts
-    images = list(fuse(recording, method=method, fps=100))
+    images = list(fuse(recording, method=method, fps=50))
     assert count == len(images)
     rows = [line.split(",") for line in (tmp_path / "fan.csv").read_text().splitlines()
             if line.startswith("fused,")]
@@ -157,7 +157,7 @@ def test_tendon_finds_the_load_and_writes_everything(
     opens_by(monkeypatch, opener({"a": recording}))
     out = tmp_path / "out"
     assert tendon.main([
-        "a", "-o", str(out), "--region", "fibre=8,6,16,12", "--fps", "100",
+        "a", "-o", str(out), "--region", "fibre=8,6,16,12", "--fps", "40",
         "--load", str(tmp_path / "load.csv"), "--offset", "0.2",
         "--thickness-um", "300", "--wavelength-nm", "530"]) == 0
     text = capsys.readouterr().out
@@ -168,7 +168,7 @@ def test_tendon_finds_the_load_and_writes_everything(
     assert "extinction ratio assumed (34.5, the middle of 25 to 44)" in text
     table = pandas.read_csv(out / "traces.csv")
     images = list(fuse(recording, extinction_ratio=34.5,
-                       times_us=grid_times(recording, 100, None, None)))
+                       times_us=grid_times(recording, 40, None, None)))
     mean = [[float(p[6:18, 8:24].mean(dtype=float)) for p in (f.s0, f.s1, f.s2)]
             for f in images if f.valid[6:18, 8:24].all()]
     s0, s1, s2 = np.array(mean).T
@@ -178,7 +178,7 @@ def test_tendon_finds_the_load_and_writes_everything(
     np.testing.assert_allclose(table["retardance_deg"], np.rad2deg(delta), rtol=1e-5)
     np.testing.assert_allclose(
         table["birefringence"], delta * 0.530 / (2 * np.pi * 300), rtol=1e-5)
-    assert table["force_n"].between(19, 31).sum() > 100
+    assert table["force_n"].between(19, 31).sum() > 40
     tifffile = pytest.importorskip("tifffile")
     with tifffile.TiffFile(out / "maps.ome.tif") as file:
         assert file.asarray().shape == (8, 24, 32)
@@ -284,7 +284,8 @@ def true_wave(truth, hz, x, y):
 
 
 @pytest.mark.parametrize(("hz", "seconds", "stated"), [
-    pytest.param(1.01, 4.0, [], marks=pytest.mark.gate), (20.26, 6.0, []),
+    pytest.param(1.01, 4.0, [], marks=pytest.mark.gate),
+    pytest.param(20.26, 6.0, [], marks=pytest.mark.gate),
     # Stated as one that frames see at two phases; events tell it from that.
     (10.13, 4.0, ["--load-hz", "10"])])
 def test_amplitude_and_phase_of_any_speed_are_those_of_the_light(

@@ -18,8 +18,6 @@ pytest.importorskip("rosbags")
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-pytestmark = pytest.mark.usefixtures("learns_from_little")
-
 NAMES = ("x.mcap", "x.db3", "folder")
 ENCODINGS = ("event_camera_msgs", "dvs_msgs")
 

@@ -11,6 +11,8 @@ from pdavis_cv.simulation import FlatLight, MalusSweep, RotatingPolarizer
 from pdavis_cv.simulation.camera import Camera
 from pdavis_cv.tools.main import main
 
+pytestmark = pytest.mark.accuracy
+
 HOLD_S = 0.5
 
 

@@ -16,8 +16,6 @@ from pdavis_cv import CaptureStatus, Layout, VideoCapture, fuse
 from pdavis_cv.capture.outputs import outputs
 from pdavis_cv.capture.picture import tone
 
-pytestmark = pytest.mark.usefixtures("learns_from_little")
-
 POS_FRAMES, WIDTH, HEIGHT, FPS, COUNT, FORMAT, CONVERT_RGB = 1, 3, 4, 5, 7, 8, 16
 UNKNOWN = 0.0 if cv2.__version__.startswith("4") else -1.0
 NAMES = {p.CAP_PDAVIS_S0: "s0", p.CAP_PDAVIS_S1: "s1", p.CAP_PDAVIS_S2: "s2",

@@ -14,6 +14,8 @@ from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.simulation import Camera, FlatLight, RotatingPolarizer, Texture
 from pdavis_cv.tools import info
 
+pytestmark = pytest.mark.accuracy
+
 NOMINAL = (0.16, 0.18)
 
 

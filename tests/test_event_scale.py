@@ -12,6 +12,8 @@ from pdavis_cv.pixel.sample import PixelSample
 from pdavis_cv.reconstruct.redundancy import EventRedundancy
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 
+pytestmark = pytest.mark.accuracy
+
 SIZE, NOMINAL = (12, 12), (0.16, 0.18)
 
 

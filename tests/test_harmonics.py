@@ -191,7 +191,8 @@ def test_a_frequency_that_no_clock_resolves_is_refused():
             fitted(wave(1.0), hz)
 
 
-@pytest.mark.parametrize("hz", [5.065, 20.26, 33.0])
+@pytest.mark.parametrize("hz", [
+    5.065, 20.26, pytest.param(33.0, marks=pytest.mark.gate)])
 def test_events_tell_the_frequency_where_frames_alias(hz):
     camera = Camera.preset("davis346", seed=1001, size=(28, 36))
     recording, _ = camera.record(Tendon(hz=hz), 3.0)

@@ -7,6 +7,8 @@ from pdavis_cv import Calibration, fuse, recording_from_arrays
 from pdavis_cv.fusion.learning import learned_camera
 from pdavis_cv.simulation import Camera, RotatingPlate, RotatingPolarizer
 
+pytestmark = pytest.mark.accuracy
+
 NOMINAL = (0.16, 0.18)
 
 

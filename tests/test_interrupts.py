@@ -36,7 +36,8 @@ def test_an_interrupted_process_says_one_line_and_leaves_nothing(tmp_path, comma
         "Fusion.advance = tell\nraise SystemExit(main.main())")
     process = subprocess.Popen(
         [sys.executable, "-P", "-c", program, tool,
-         str(example_recording()), *options, "--fps", "30000", "--layout", "pdavis"],
+         str(example_recording()), *options, "--fps", "30000", "--layout", "pdavis",
+         "--method", "cf"],
         cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline() == "works\n"

@@ -522,6 +522,7 @@ def test_commands_take_an_address(capsys, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.accuracy
 def test_a_simulated_fan_is_all_seen_and_measured_in_most_pixels():
     with pdavis_cv.open_source("simulate:fan?rpm=600&seconds=.2&speed=0") as source:
         images = list(pdavis_cv.fuse(source, fps=50))

@@ -22,7 +22,7 @@ PACKAGES = {
     "zstandard": "zstandard"}
 """Name in an import -> name for pip."""
 
-LAYOUT = ("--layout", "pdavis", "--fps", "10")
+LAYOUT = ("--layout", "pdavis", "--fps", "10", "--method", "cf")
 COMMANDS = {
     "info": (("info", "{in}"), ()),
     "info --scan": (("info", "{in}", "--scan", "--json"), ()),
@@ -41,7 +41,7 @@ COMMANDS = {
     "export of an image": (
         ("export", "{png}", "-o", "{out}.npy", "--layout", "sony"), ("cv2",)),
     "export by a network": (
-        ("export", "{in}", "-o", "{out}.npy", "--method", "firenet", *LAYOUT), ()),
+        ("export", "{in}", "-o", "{out}.npy", *LAYOUT, "--method", "firenet"), ()),
     "convert": (("convert", "{in}", "{out}.aedat4"), ()),
     "convert to HDF5": (("convert", "{in}", "{out}.h5"), ("h5py",)),
     "convert to a bag": (("convert", "{in}", "{out}.mcap"), ("rosbags",)),

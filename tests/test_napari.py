@@ -13,8 +13,6 @@ from pdavis_cv.data import example_recording
 from pdavis_cv.export import OmeTiffFile
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 
-pytestmark = pytest.mark.usefixtures("learns_from_little")
-
 pytest.importorskip("tifffile")
 
 

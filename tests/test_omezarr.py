@@ -9,8 +9,6 @@ from pdavis_cv.data import example_recording
 from pdavis_cv.export import OmeZarrFile
 from pdavis_cv.tools.export import main
 
-pytestmark = pytest.mark.usefixtures("learns_from_little")
-
 zarr = pytest.importorskip("zarr")
 SHAPE = (260, 346)
 

@@ -15,6 +15,8 @@ from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.pixel.sample import PAST_DTYPE, PixelSample
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 
+pytestmark = pytest.mark.accuracy
+
 SIZE = (8, 8)
 TOLD = Priors(theta=(0.2, 0.2))
 

@@ -7,8 +7,6 @@ from pdavis_cv.fusion.online_learning import OnlineLearning
 from pdavis_cv.live.replay import PIECE_US, ReplaySource
 from pdavis_cv.reconstruct.frames import FrameHold
 
-pytestmark = pytest.mark.usefixtures("learns_from_little")
-
 OPTIONS = {"layout": Layout.PDAVIS, "nominal_thresholds": (0.16, 0.18), "fps": 60,
            "causal": True}
 PATIENCE_S = 60     # longer than a loaded machine takes; nothing is asserted of time

@@ -13,8 +13,6 @@ pytest.importorskip("rosbags")
 pytest.importorskip("cv2")
 from rosbags.highlevel import AnyReader
 
-pytestmark = pytest.mark.usefixtures("learns_from_little")
-
 EXPOSURE_US = 10_000
 
 

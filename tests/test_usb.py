@@ -24,8 +24,6 @@ from pdavis_cv.recording.davis_trace import Transfer
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 from pdavis_cv.tools import devices
 
-pytestmark = pytest.mark.usefixtures("learns_from_little")
-
 OPTIONS = {"layout": Layout.PDAVIS, "nominal_thresholds": (0.16, 0.18), "fps": 60}
 METHODS = [{"method": name} for name in pdavis_cv.METHODS] + [
     {"method": "events", "offsets": "redundancy"}]

@@ -9,8 +9,6 @@ import pdavis_cv
 from pdavis_cv.data import example_recording
 from pdavis_cv.tools.main import main
 
-pytestmark = pytest.mark.usefixtures("learns_from_little")
-
 pytest.importorskip("cv2")
 SOURCE = str(example_recording("fan"))
 

@@ -13,8 +13,6 @@ from pdavis_cv import FusionOptions, fuse
 from pdavis_cv._workers import BANDS, LEAST_BAND_NS, LEAST_ROWS, Workers, usable_cores
 from pdavis_cv.simulation import FULL, Camera, RotatingPolarizer
 
-pytestmark = pytest.mark.usefixtures("learns_from_little")
-
 PATIENCE_S = 60     # longer than a loaded machine takes; nothing is asserted of time
 OPTIONS = [{"method": "cf"}, {"method": "kalman"},
            {"method": "kalman", "mode": "offline"},
