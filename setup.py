@@ -24,7 +24,6 @@ KERNELS = (
     "_aedat2",
     "_aedat4",
     "_aop_events",
-    "_aps",
     "_build",
     "_bus",
     "_clock",

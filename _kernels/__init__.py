@@ -3,7 +3,6 @@
 from ._aedat2 import aedat2_rows, aedat2_samples
 from ._aedat4 import aedat4_events, aedat4_table_fields
 from ._aop_events import aop_event_stokes
-from ._aps import cds, correct
 from ._build import DEBUG
 from ._bus import read_out, sort_events
 from ._clock import settle
@@ -56,7 +55,6 @@ from ._leaky import (
     check_events,
     check_times,
     leak_events,
-    leak_events_map,
     leak_read,
     leak_shown,
     mean_around,
@@ -82,7 +80,6 @@ from ._samples import log_frame
 from ._scenes import (
     analysed,
     fan_stokes,
-    node_slopes,
     plane_waves,
     texture_stokes,
 )

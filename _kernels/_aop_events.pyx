@@ -38,7 +38,7 @@ cdef void new_epoch(turn_t[:, ::1] turns, float s, float leaky) noexcept nogil:
 
 
 def aop_event_stokes(const event_t[::1] events not None,
-                     const float[:, :, ::1] step not None,
+                     const float[:, :, :] step not None,
                      const double[:, ::1] axes not None, Py_ssize_t radius,
                      int64_t last, double rate, double span, bint correct,
                      double[::1] epoch not None, turn_t[:, ::1] turns not None,

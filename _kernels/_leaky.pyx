@@ -67,9 +67,10 @@ def check_events(const event_t[::1] events not None, int64_t last, Py_ssize_t h,
     return i
 
 
-def leak_events(const event_t[::1] events not None, const float[::1] step not None,
-                int64_t last, cell_t[:, ::1] cells not None):
-    """Decay and add step[p] at each event; return how many were taken.
+def leak_events(const event_t[::1] events not None,
+                const float[:, :, :] step not None, int64_t last,
+                cell_t[:, ::1] cells not None):
+    """Decay and add step[y, x, p] at each event; return how many were taken.
 
     Stops at the first event outside cells, or before its predecessor (the first:
     before last).
@@ -77,34 +78,8 @@ def leak_events(const event_t[::1] events not None, const float[::1] step not No
     cdef Py_ssize_t n = events.shape[0], h = cells.shape[0], w = cells.shape[1]
     cdef Py_ssize_t i, y, x, p
     cdef int64_t t
-    if step.shape[0] != 2:
-        raise ValueError("leak_events: step must be (2,)")
-    with nogil:
-        for i in range(n):
-            t = events[i].t
-            y = events[i].y
-            x = events[i].x
-            p = events[i].p
-            if y >= h or x >= w or p > 1 or t < last:
-                break
-            last = t
-            ask(events, i + AHEAD, cells)
-            leak(&cells[y, x], <double>t)
-            cells[y, x].value += step[p]
-        else:
-            i = n
-    return i
-
-
-def leak_events_map(const event_t[::1] events not None,
-                    const float[:, :, ::1] step not None, int64_t last,
-                    cell_t[:, ::1] cells not None):
-    """As leak_events, with a step (row, column, polarity) per pixel."""
-    cdef Py_ssize_t n = events.shape[0], h = cells.shape[0], w = cells.shape[1]
-    cdef Py_ssize_t i, y, x, p
-    cdef int64_t t
     if step.shape[0] != h or step.shape[1] != w or step.shape[2] != 2:
-        raise ValueError("leak_events_map: step must be (h, w, 2)")
+        raise ValueError("leak_events: step must be (h, w, 2)")
     with nogil:
         for i in range(n):
             t = events[i].t

@@ -5,30 +5,25 @@ from _kernels._types cimport event_t
 
 
 def voxel_planes(const event_t[::1] events not None, int64_t last, int64_t start,
-                 int64_t stop, const float[:, :, ::1] steps not None,
+                 int64_t stop, const float[:, :, :] steps not None,
                  Py_ssize_t height, Py_ssize_t width,
                  float[:, :, :, ::1] out not None, uint8_t[:, ::1] seen not None):
     """Divide each event's step between two bins of its place; return how many it took.
 
-    steps is (height, width, 2) or (1, 1, 2): the steps of OFF and ON events.  out is
-    (place, bin, y, x) with places anticlockwise from the bottom left of the cell.
+    steps is (height, width, 2): the steps of OFF and ON events.  out is (place, bin,
+    y, x) with places anticlockwise from the bottom left of the cell.
     Stops at the first event outside the sensor, before last, or not before stop.
     """
     cdef Py_ssize_t n = events.shape[0], bins = out.shape[1]
     cdef Py_ssize_t h = out.shape[2], w = out.shape[3], i, y, x, p, k, place
-    cdef Py_ssize_t by_row = steps.shape[0] > 1 or height == 1
-    cdef Py_ssize_t by_column = steps.shape[1] > 1 or width == 1
     cdef double per_us, at
     cdef float step, late
     if (out.shape[0] != 4 or bins < 2 or stop <= start
             or 2 * h != height + height % 2 or 2 * w != width + width % 2
             or seen.shape[0] != h or seen.shape[1] != w or steps.shape[2] != 2):
         raise ValueError("voxel_planes: sizes do not fit")
-    if not ((steps.shape[0] == height and steps.shape[1] == width)
-            or (steps.shape[0] == 1 and steps.shape[1] == 1)):
+    if steps.shape[0] != height or steps.shape[1] != width:
         raise ValueError("voxel_planes: steps do not fit")
-    if steps.shape[0] == 1 and steps.shape[1] == 1:
-        by_row = by_column = 0
     per_us = (bins - 1) / <double>(stop - start)
     with nogil:
         for i in range(n):
@@ -44,7 +39,7 @@ def voxel_planes(const event_t[::1] events not None, int64_t last, int64_t start
             if k > bins - 2:              # only if the division rounds up
                 k = bins - 2
             late = <float>(at - k)
-            step = steps[y * by_row, x * by_column, p]
+            step = steps[y, x, p]
             # (1, 0), (1, 1), (0, 1), (0, 0) are places 0, 1, 2, 3.
             place = x % 2 if y % 2 else 3 - x % 2
             y = y // 2

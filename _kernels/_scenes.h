@@ -149,14 +149,4 @@ PDAVIS_CLONES PDAVIS_UNUSED static void analysed_row(
         out[i] = a0[i] * s0[i] + a1[i] * s1[i] + a2[i] * s2[i];
 }
 
-/* Five-point slopes, per interval, of smooth light at nodes. */
-PDAVIS_CLONES PDAVIS_UNUSED static void slopes_row(
-    ptrdiff_t n, const double *restrict a, const double *restrict b,
-    const double *restrict c, const double *restrict d, double *restrict out)
-{
-    ptrdiff_t i;
-    for (i = 0; i < n; i++)
-        out[i] = ((a[i] - d[i]) + 8 * (c[i] - b[i])) / 12;
-}
-
 #endif

@@ -9,8 +9,6 @@ cdef extern from "_scenes.h" nogil:
                  const double*, const double*, double*, double*)
     void analysed_row(Py_ssize_t, const double*, const double*, const double*,
                       const double*, const double*, const double*, double*)
-    void slopes_row(Py_ssize_t, const double*, const double*, const double*,
-                    const double*, double*)
 
 cdef enum:
     SECTORS = 18            # of a wheel, from -12 on
@@ -110,19 +108,3 @@ def analysed(const double[:, ::1] analyser not None, const double[:, ::1] s0 not
             analysed_row(n, &analyser[0, 0], &analyser[1, 0], &analyser[2, 0],
                          &s0[0 if constant else k, 0], &s1[k, 0], &s2[k, 0],
                          &out[k, 0])
-
-
-def node_slopes(const double[:, ::1] light not None, double[:, ::1] out not None):
-    """Write to out (K, n) the slopes per interval of light (K + 4, n).
-
-    At all nodes but two at each end, by the five-point formula.
-    """
-    cdef Py_ssize_t times = out.shape[0], n = out.shape[1], k
-    if light.shape[0] != times + 4 or light.shape[1] != n:
-        raise ValueError("node_slopes: shapes do not fit")
-    if n == 0:
-        return
-    with nogil:
-        for k in range(times):
-            slopes_row(n, &light[k, 0], &light[k + 1, 0], &light[k + 3, 0],
-                       &light[k + 4, 0], &out[k, 0])

@@ -27,14 +27,12 @@ __all__ = [
     "bilinear_variance",
     "bilinear_weighted",
     "binned",
-    "cds",
     "cf_frame",
     "cf_frame_authors",
     "cf_frame_printed",
     "check_events",
     "check_times",
     "colour_means",
-    "correct",
     "count",
     "degree_frame",
     "denoise_events",
@@ -62,7 +60,6 @@ __all__ = [
     "lamp_wave",
     "lasting_degree",
     "leak_events",
-    "leak_events_map",
     "leak_read",
     "leak_shown",
     "learning_around",
@@ -73,7 +70,6 @@ __all__ = [
     "mean_around",
     "mismatch",
     "mix",
-    "node_slopes",
     "pixel_events",
     "plane_waves",
     "ramp_bgr",
@@ -172,11 +168,6 @@ def bilinear_weighted(
 def binned(
     mosaic: NDArray[_Pixel], places: NDArray[np.intp], scratch: _F32, out: _F32
 ) -> None: ...
-def cds(
-    reset: NDArray[np.uint16], signal: NDArray[np.uint16], dark: _F32 | None,
-    gain: _F32 | None, least_reset: int, least_signal: int, dn: _F32,
-    valid: NDArray[np.uint8]
-) -> None: ...
 def cf_frame(
     sample: _F32, valid: _U8, log_8bit: _F32, age: _F32, t: float, rate: float,
     floor: float, held: _F32, cells: NDArray[Any],
@@ -191,10 +182,6 @@ def cf_frame_printed(
 ) -> None: ...
 def check_events(events: NDArray[Any], last: int, h: int, w: int) -> int: ...
 def check_times(events: NDArray[Any]) -> int: ...
-def correct(
-    raw: _F32, dark: _F32 | None, gain: _F32 | None, clip_dn: float, dn: _F32,
-    valid: NDArray[np.uint8]
-) -> None: ...
 def degree_frame(
     log: _F32, analyser: _F32, constants: tuple[float, float, float, float],
     before: _F32, planes: _F32, scratch: _F32, lasting: _F32,
@@ -298,9 +285,6 @@ def learning_silences(
 def leak_events(
     events: NDArray[Any], step: _F32, last: int, cells: NDArray[Any]
 ) -> int: ...
-def leak_events_map(
-    events: NDArray[Any], step: _F32, last: int, cells: NDArray[Any]
-) -> int: ...
 def leak_read(cells: NDArray[Any], base: _F32, t: float, out: _F32) -> None: ...
 def leak_shown(
     events: NDArray[Any], cells: NDArray[Any], out: _F32, seen: _U8
@@ -379,7 +363,6 @@ def fan_stokes(
     turns: _F64, cosines: _F64, sines: _F64, rest: _F64, steep: _F64, light: _F64,
     s1: _F64, s2: _F64,
 ) -> None: ...
-def node_slopes(light: _F64, out: _F64) -> None: ...
 def plane_waves(
     down_c: _F64, down_s: _F64, cos: _F64, sin: _F64, out: _F64
 ) -> None: ...

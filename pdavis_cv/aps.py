@@ -6,8 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv import _kernels
-
 __all__ = ["LEAST_RESET_DN", "LEAST_SIGNAL_DN", "cds", "clip_level", "correct"]
 
 LEAST_RESET_DN = 384
@@ -60,23 +58,18 @@ def cds(
     >>> dn.tolist(), valid.tolist()
     ([[-10.0, 698.0]], [[True, False]])
     """
-    reads: list[NDArray[np.uint16]] = []
     for name, read in (("reset", reset), ("signal", signal)):
         if not isinstance(read, np.ndarray) or read.dtype != np.uint16:
             kind = getattr(read, "dtype", type(read).__name__)
             raise TypeError(f"{name} must be uint16, got {kind}")
         if read.ndim != 2:
             raise ValueError(f"{name} must be (H, W), got shape {read.shape}")
-        reads.append(np.require(read, np.uint16, ("C", "A")))
-    shape = reads[0].shape
-    if reads[1].shape != shape:
-        raise ValueError(
-            f"signal must have the shape of reset, {shape}, got {reads[1].shape}")
-    offsets, factors = _plane("dark", dark, shape), _plane("gain", gain, shape)
-    dn, valid = np.empty(shape, np.float32), np.empty(shape, np.bool_)
-    _kernels.cds(reads[0], reads[1], offsets, factors, LEAST_RESET_DN,
-                 LEAST_SIGNAL_DN, dn, valid.view(np.uint8))
-    return dn, valid
+    if signal.shape != reset.shape:
+        raise ValueError(f"signal must have the shape of reset, {reset.shape}, got "
+                         f"{signal.shape}")
+    dn = np.subtract(reset, signal, dtype=np.float32)
+    valid = (reset >= LEAST_RESET_DN) & (signal >= LEAST_SIGNAL_DN)
+    return _equalized(dn, dark, gain), valid
 
 
 def correct(
@@ -124,15 +117,10 @@ def correct(
         raise TypeError(f"valid must be bool, got {valid.dtype}")
     if valid is not None and valid.shape != dn.shape:
         raise ValueError(f"valid must have shape {dn.shape}, got {valid.shape}")
-    raw = np.require(dn, None, ("C", "A"))
-    offsets, factors = _plane("dark", dark, raw.shape), _plane("gain", gain, raw.shape)
-    result = np.empty(raw.shape, np.float32)
-    usable = np.ones(raw.shape, np.bool_) if valid is None else np.array(
-        valid, order="C")
     # A limit of +inf marks no finite value, only +inf itself.
-    limit = np.inf if clip_dn is None else float(clip_dn)
-    _kernels.correct(raw, offsets, factors, limit, result, usable.view(np.uint8))
-    return result, usable
+    usable = dn < np.float32(np.inf if clip_dn is None else clip_dn)
+    return _equalized(dn.copy(), dark, gain), usable if valid is None else (
+        usable & valid)
 
 
 def clip_level(dn: NDArray[Any], full_scale_dn: int = 1023) -> float | None:
@@ -196,13 +184,17 @@ def peak_width(full_scale_dn: int) -> int:
     return 2 * max(full_scale_dn // 64, 1)
 
 
-def _plane(
-    name: str, value: ArrayLike | None, shape: tuple[int, ...]
-) -> NDArray[np.float32] | None:
-    if value is None:
-        return None
-    plane = np.asarray(value, np.float32)
-    if plane.ndim and plane.shape != shape:
-        raise ValueError(
-            f"{name} must be one number or have shape {shape}, got {plane.shape}")
-    return np.require(np.broadcast_to(plane, shape), None, ("C", "A"))
+def _equalized(
+    dn: NDArray[np.float32], dark: ArrayLike | None, gain: ArrayLike | None
+) -> NDArray[np.float32]:
+    """Subtract dark from new values and multiply them by gain, in place."""
+    for name, value, apply in (
+            ("dark", dark, np.subtract), ("gain", gain, np.multiply)):
+        if value is None:
+            continue
+        plane = np.asarray(value, np.float32)
+        if plane.ndim and plane.shape != dn.shape:
+            raise ValueError(f"{name} must be one number or have shape {dn.shape}, "
+                             f"got {plane.shape}")
+        apply(dn, plane, out=dn)
+    return dn

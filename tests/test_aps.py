@@ -252,17 +252,3 @@ def test_eight_threads_get_what_one_gets():
                 lambda pair: pdavis_cv.cds(*pair), pairs * 20)):
             np.testing.assert_array_equal(dn, want[i % 8][0])
             np.testing.assert_array_equal(valid, want[i % 8][1])
-
-
-def test_the_kernels_check_sizes_themselves():
-    kernels = pdavis_cv._kernels
-    u2, f4 = np.zeros((2, 3), np.uint16), np.zeros((2, 3), np.float32)
-    u1 = np.zeros((2, 3), np.uint8)
-    with pytest.raises(ValueError, match="one shape"):
-        kernels.cds(u2[:1], u2, None, None, 384, 3, f4, u1)
-    with pytest.raises(ValueError, match="dark"):
-        kernels.cds(u2, u2, f4[:1], None, 384, 3, f4, u1)
-    with pytest.raises(ValueError, match="gain"):
-        kernels.correct(f4, None, f4[:1], 1.0, f4, u1)
-    with pytest.raises(ValueError, match="one shape"):
-        kernels.correct(f4, None, None, 1.0, f4, u1[:1])

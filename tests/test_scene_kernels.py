@@ -106,14 +106,6 @@ def test_analysed_light_matches_reference(times, n, constant):
         out, analyser[0] * s0 + analyser[1] * s1 + analyser[2] * s2)
 
 
-@pytest.mark.parametrize(("times", "n"), [(0, 3), (2, 0), (1, 1), (5, 77)])
-def test_node_slopes_match_reference(times, n):
-    light, out = drawn(times + 4, n), np.empty((times, n))
-    _kernels.node_slopes(light, out)
-    np.testing.assert_array_equal(out, (
-        light[:-4] - light[4:] + 8 * (light[3:-1] - light[1:-3])) / 12)
-
-
 def test_shapes_that_do_not_fit_are_refused():
     a, b = np.zeros((2, 3)), np.zeros((3, 2))
     row = np.zeros(3)
@@ -121,8 +113,7 @@ def test_shapes_that_do_not_fit_are_refused():
                  lambda: _kernels.plane_waves(a, a, a, a, a),
                  lambda: _kernels.texture_stokes(row, row[:2], row, *[1.0] * 6),
                  lambda: _kernels.fan_stokes(row, a, a, row, row, row, a, a),
-                 lambda: _kernels.analysed(a, a, a, a, a),
-                 lambda: _kernels.node_slopes(a, a)):
+                 lambda: _kernels.analysed(a, a, a, a, a)):
         with pytest.raises(ValueError, match=": shapes do not fit"):
             call()
 

@@ -88,8 +88,7 @@ class AopEvents:
         on = checked_threshold("theta_on", theta_on, self.shape)
         off = checked_threshold("theta_off", theta_off, self.shape)
         self._radius = whole_number("radius", radius, 0, MOST_RADIUS)
-        self._step = np.ascontiguousarray(
-            np.broadcast_to(steps(on, off), (height, width, 2)))
+        self._step = steps(on, off, self.shape)
         self._rate = 2e-6 * math.pi * positive("cutoff_hz", cutoff_hz)
         if not self._rate * FAR > 1:
             raise ValueError(

@@ -108,9 +108,7 @@ class ComplementaryFilter(Reconstructor):
     def _set_thresholds(self, theta_on: ArrayLike, theta_off: ArrayLike) -> None:
         self._theta_on = checked_threshold("theta_on", theta_on, self.shape)
         self._theta_off = checked_threshold("theta_off", theta_off, self.shape)
-        self._steps = steps(self._theta_on, self._theta_off)
-        self._leak = (
-            _kernels.leak_events if self._steps.ndim == 1 else _kernels.leak_events_map)
+        self._steps = steps(self._theta_on, self._theta_off, self.shape)
 
     def retune(self, **learned: Any) -> None:
         """Continue with other thresholds for later events (see `Reconstructor`)."""
@@ -131,7 +129,8 @@ class ComplementaryFilter(Reconstructor):
         """Integrate events (see `Reconstructor.add_events`)."""
         events = timed_events(events)
         clock = self._clock
-        clock.took(events, self._leak(events, self._steps, clock.last_us, self._cells))
+        clock.took(events, _kernels.leak_events(
+            events, self._steps, clock.last_us, self._cells))
 
     def add_frame(self, frame: ApsFrame) -> None:
         """Relax towards the frame's samples from its mid-exposure on."""

@@ -88,9 +88,7 @@ class EventHighPass(Reconstructor):
         self._radius = whole_number("radius", radius, 0, MOST_RADIUS)
         self._hold = bool(hold)
         self.margin = 2 * self._radius
-        self._steps = steps(self._theta_on, self._theta_off)
-        self._leak = (
-            _kernels.leak_events if self._steps.ndim == 1 else _kernels.leak_events_map)
+        self._steps = steps(self._theta_on, self._theta_off, self.shape)
         self._clock = StreamClock(self.shape)
         self._cells = np.zeros(self.shape, CELL_DTYPE)
         self._cells["t"] = -np.inf  # no event yet
@@ -118,7 +116,8 @@ class EventHighPass(Reconstructor):
         """Integrate events (see `Reconstructor.add_events`)."""
         events = timed_events(events)
         clock = self._clock
-        taken = self._leak(events, self._steps, clock.last_us, self._cells)
+        taken = _kernels.leak_events(
+            events, self._steps, clock.last_us, self._cells)
         _kernels.leak_shown(
             events[:taken], self._cells, self._held, self._seen.view(np.uint8))
         clock.took(events, taken)

@@ -91,12 +91,8 @@ class _Recurrent(Reconstructor):
         height, width = self.shape
         self._planes = (height + 1) // 2, (width + 1) // 2
         unit = self._weights.unit
-        step = steps(self._theta_on, self._theta_off)
-        if unit is None:
-            step = np.sign(step)
-        else:
-            step = (step / np.float32(unit)).astype(np.float32)
-        self._steps = np.ascontiguousarray(step[None, None] if step.ndim == 1 else step)
+        step = steps(self._theta_on, self._theta_off, self.shape)
+        self._steps = np.sign(step) if unit is None else step / np.float32(unit)
         self._unit = unit or 1.0
         self._runner: Runner | None = None
         self._input: Array | None = None

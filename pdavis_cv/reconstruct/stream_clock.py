@@ -112,8 +112,9 @@ class StreamClock:
 
 
 def steps(
-    theta_on: float | NDArray[np.float64], theta_off: float | NDArray[np.float64]
+    theta_on: float | NDArray[np.float64], theta_off: float | NDArray[np.float64],
+    shape: tuple[int, int],
 ) -> NDArray[np.float32]:
-    """Return the step of log intensity by polarity: (2,), or (H, W, 2) for maps."""
+    """Return the step of log intensity of each pixel by polarity, (H, W, 2)."""
     off, on = np.broadcast_arrays(np.negative(theta_off), theta_on)
-    return np.stack([off, on], axis=-1).astype(np.float32)
+    return np.broadcast_to(np.stack([off, on], axis=-1).astype(np.float32), (*shape, 2))
