@@ -29,10 +29,6 @@ class Place:
     What is neither a file, a pipe nor a character device is not written to: a disk or
     socket would be replaced by a file.
 
-    Parameters
-    ----------
-    path : path
-
     Attributes
     ----------
     path : Path
@@ -85,10 +81,6 @@ class Place:
 
 def takes_bytes(path: Path) -> bool:
     """Return whether bytes are written to a path, not a file renamed to it.
-
-    Parameters
-    ----------
-    path : Path
 
     Raises
     ------

@@ -35,12 +35,7 @@ def shown(text: str, most: int | None = None) -> str:
 
 
 class Shown:
-    """A text stream that is written to by `shown`; else the stream itself.
-
-    Parameters
-    ----------
-    stream : text stream
-    """
+    """A text stream that is written to by `shown`; else the stream itself."""
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream

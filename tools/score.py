@@ -285,10 +285,6 @@ def suited(rows: Sequence[Row], *, causal: bool = False) -> Row:
     rows : sequence of Row
     causal : bool
         Consider only methods that use no later data.
-
-    Returns
-    -------
-    Row
     """
     able = [row for row in rows if (row.trial is None or not row.trial.relative)
             and (not causal or row.causal)]

@@ -20,10 +20,6 @@ class ProcessPool(ProcessPoolExecutor):
     holds; the system closes it even if the parent is killed.  Processes are started
     afresh, never forked from a parent that may have threads, so a script needs
     ``if __name__ == "__main__"`` around its call.
-
-    Parameters
-    ----------
-    workers : int
     """
 
     def __init__(self, workers: int) -> None:

@@ -23,10 +23,6 @@ class StoredResults(Results):
 
     A work writes to a local folder, whose files are then uploaded.  There are no locks:
     two runs at the same time may both do a job, with the same result.
-
-    Parameters
-    ----------
-    out : str
     """
 
     def __init__(self, out: str) -> None:
@@ -93,10 +89,5 @@ class StoredResults(Results):
 
 
 def results_at(out: str | os.PathLike[str]) -> Results:
-    """Return the results at a path or URL.
-
-    Parameters
-    ----------
-    out : path
-    """
+    """Return the results at a path or URL."""
     return StoredResults(str(out)) if is_remote(out) else Results(out)

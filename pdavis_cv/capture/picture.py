@@ -60,10 +60,6 @@ def tone(white: float, gain: float, gamma: float, log: bool) -> ToneCurve:
     log : bool
         Logarithmic over three decades instead of linear.
 
-    Returns
-    -------
-    ToneCurve
-
     Raises
     ------
     TypeError, ValueError

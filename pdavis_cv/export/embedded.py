@@ -192,10 +192,6 @@ def embed_png(data: bytes, facts: Facts) -> bytes:
     facts : mapping of str to object
         Facts, written as JSON.
 
-    Returns
-    -------
-    bytes
-
     Raises
     ------
     ValueError

@@ -113,10 +113,6 @@ class Feed:
         ----------
         t_us : int or None
             None = the end of the recording.
-
-        Yields
-        ------
-        ApsFrame or ndarray of EVENT_DTYPE
         """
         target = _FOREVER if t_us is None else t_us
         # Yield while reading, so that a jump over a long time needs bounded memory.

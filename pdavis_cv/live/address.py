@@ -28,16 +28,7 @@ SOURCES: Registry[Callable[..., LiveSource]] = Registry("source", {
 
 
 def is_address(where: object) -> bool:
-    """Tell whether something is the address of a live source, such as ``"usb:"``.
-
-    Parameters
-    ----------
-    where : object
-
-    Returns
-    -------
-    bool
-    """
+    """Tell whether something is the address of a live source, such as ``"usb:"``."""
     return isinstance(where, str) and ":" in where and (
         where.partition(":")[0] in SOURCES)
 

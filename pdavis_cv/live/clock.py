@@ -96,10 +96,6 @@ def in_order(packets: Iterator[Packet], log: ProblemLog) -> Iterator[Packet]:
     packets : iterator of Packet
     log : ProblemLog
         Where segments and dropped samples are noted.
-
-    Yields
-    ------
-    Packet
     """
     timeline = Timeline()
     jumps = offset = 0
@@ -140,13 +136,7 @@ def _latest(packet: Packet) -> int:
 
 
 def moved(packet: Packet, offset_us: int) -> Packet:
-    """Return a packet with offset_us added to every time; its arrays are copies.
-
-    Parameters
-    ----------
-    packet : Packet
-    offset_us : int
-    """
+    """Return a packet with offset_us added to every time; its arrays are copies."""
     copies = [samples.copy() for samples in (
         packet.events, packet.imu, packet.triggers)]
     for samples in copies:

@@ -114,10 +114,6 @@ class ReplaySource(LiveSource):
 def pieces(packet: Packet) -> Iterator[Packet]:
     """Yield a packet in pieces of at most `PIECE_US`.
 
-    Parameters
-    ----------
-    packet : Packet
-
     Yields
     ------
     Packet

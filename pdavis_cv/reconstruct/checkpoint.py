@@ -260,10 +260,6 @@ def read_state_dict(path: str | Path) -> Mapping[str, Array]:
     path : path
         A file that ``torch.save`` wrote, as a zip or as before torch 1.6.
 
-    Returns
-    -------
-    mapping of str to ndarray
-
     Raises
     ------
     WeightsError
@@ -302,10 +298,6 @@ def _refuse(path: str | Path, why: str) -> NoReturn:
 
 def firenet_weights(path: str | Path) -> Weights:
     """Return the weights of a published FireNet checkpoint.
-
-    Parameters
-    ----------
-    path : path
 
     Returns
     -------

@@ -80,10 +80,6 @@ class Advice:
 def advise(recording: Recording) -> list[Advice]:
     """Read a recording once and return findings that affect its results.
 
-    Parameters
-    ----------
-    recording : Recording
-
     Returns
     -------
     list of Advice

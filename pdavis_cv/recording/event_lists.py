@@ -70,11 +70,6 @@ class TextRecording(_EventList):
     event may name the columns, or give the sensor's width and height.  Times with
     fractions are seconds, whole ones microseconds, or nanoseconds beyond 10**17.  Also
     a zip archive with one such text.
-
-    Parameters
-    ----------
-    path : path
-    options : SourceOptions
     """
 
     def _open(self, options: SourceOptions) -> RecordingInfo:
@@ -193,11 +188,6 @@ class NumpyRecording(_EventList):
     columns in this order; a ``.npz`` file holds one array for each, or such an array
     under any name.  Times with fractions are seconds, integers are microseconds, or
     nanoseconds beyond 10**17.  Compressed arrays are unpacked into a temporary file.
-
-    Parameters
-    ----------
-    path : path
-    options : SourceOptions
     """
 
     _kind, _unit = "NumPy", "row"

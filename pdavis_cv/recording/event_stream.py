@@ -34,11 +34,6 @@ class EventStreamRecording(SequentialRecording):
     """A recording in Event Stream; see `open_recording`.
 
     DVS events, and those of ATIS that detect a change of intensity.
-
-    Parameters
-    ----------
-    path : path
-    options : SourceOptions
     """
 
     def _open(self, options: SourceOptions) -> RecordingInfo:

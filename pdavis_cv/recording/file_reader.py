@@ -116,10 +116,6 @@ class FileReader:
 class RemoteReader(FileReader):
     """An object in a store that several threads may read at any position, by ranges.
 
-    Parameters
-    ----------
-    path : RemotePath
-
     Raises
     ------
     RecordingError

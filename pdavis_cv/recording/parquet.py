@@ -65,11 +65,6 @@ class ParquetRecording(NumpyRecording):
 
     Its columns are t, x, y, p, or have their usual other names; units of time are as in
     NumPy's arrays.
-
-    Parameters
-    ----------
-    path : path
-    options : SourceOptions
     """
 
     _kind = "Parquet"

@@ -80,13 +80,7 @@ def _reading() -> Iterator[None]:
 
 
 class Hdf5Recording(PiecewiseRecording):
-    """A recording in HDF5; see `open_recording`.
-
-    Parameters
-    ----------
-    path : path
-    options : SourceOptions
-    """
+    """A recording in HDF5; see `open_recording`."""
 
     _unit = "row"
 

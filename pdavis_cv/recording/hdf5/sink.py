@@ -75,14 +75,6 @@ class _Sink(io.RawIOBase):
 def written(path: Path) -> Iterator[Any]:
     """Open an HDF5 file to be written; raise at the end what went wrong.
 
-    Parameters
-    ----------
-    path : path
-
-    Yields
-    ------
-    h5py.File
-
     Raises
     ------
     OSError

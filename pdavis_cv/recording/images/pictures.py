@@ -51,12 +51,7 @@ class PictureFacts:
 
 
 class Pictures(ABC):
-    """Images of one size in order.
-
-    Attributes
-    ----------
-    facts : PictureFacts
-    """
+    """Images of one size in order."""
 
     facts: PictureFacts
 

@@ -63,13 +63,7 @@ def _sides(file: BinaryIO) -> tuple[int, int]:
 
 
 class StillPicture(Pictures):
-    """One image in a file.
-
-    Parameters
-    ----------
-    path : str
-    budget : Budget
-    """
+    """One image in a file."""
 
     def __init__(self, path: str, budget: Budget) -> None:
         self._path, self._budget = path, budget
@@ -96,10 +90,6 @@ class StillPicture(Pictures):
 
 class ArrayPictures(Pictures):
     """Images in a ``.npy`` file: (H, W), (T, H, W), (4, H, W) or (T, 4, H, W).
-
-    Parameters
-    ----------
-    path : str
 
     Raises
     ------
