@@ -136,7 +136,7 @@ class Fusion(Advises):
         self._tuning: Tuning | None = None
         self.provenance: Facts = MappingProxyType({
             "pdavis_cv": pdavis_cv.__version__, "method": self.method,
-            "parameters": {name: value for name, value in probe.parameters.items()
+            "parameters": {name: value for name, value in probe.all_parameters.items()
                            if np.ndim(value) < 2},
             "clock_offset_us": self._clock_us,
             "causal": options.causal, "layout": str(self.layout),
@@ -485,7 +485,7 @@ class Fusion(Advises):
             # Of the whole sensor, so that an image of a region equals the crop.
             self._lamp = LampTracker(
                 self.recording.info.sensor_size, *tuning.photoreceptors)
-        self._update_provenance(self._state.method.parameters)
+        self._update_provenance(self._state.method.all_parameters)
 
     def _method_factory(self) -> Callable[[], Reconstructor]:
         """Return a function that makes the method for the window."""
@@ -590,7 +590,7 @@ class Fusion(Advises):
             self._state.retune(t_us, changed)
         if self._lamp is not None and changed:
             self._lamp.retune(*self._online.tuning.photoreceptors)
-        self._update_provenance(self._state.method.parameters)
+        self._update_provenance(self._state.method.all_parameters)
 
     def _frame_us(self, method: Reconstructor, t: int) -> int | None:
         arrived = self.options.causal or method.shows_at_readout

@@ -87,7 +87,7 @@ class InOrderState(_MethodState):
             self.sample.add_events(events)
         inside = self.window.events(events)
         if len(inside):
-            self.method.add_events(inside)
+            self.method.take(inside)
 
     def add_frame(self, frame: ApsFrame, clock_us: int = 0) -> None:
         """Add a corrected frame of the whole sensor.
@@ -161,7 +161,7 @@ class ArrivalState(_MethodState):
         fresh = 0 if self.fed_us is None else bisect_right(events["t"], self.fed_us)
         inside = self.window.events(events[fresh:])
         if len(inside):
-            self.method.add_events(inside)
+            self.method.take(inside)
         if self._keeps_events:
             self._pending.append(events)
         self._commit(int(events["t"][-1]) - LONGEST_DELAY_US)
@@ -296,15 +296,17 @@ class ReplayState(ArrivalState):
         super()._feed_in_order(events)
         inside = self.window.events(events)
         if len(inside):
-            self._committed.add_events(inside)
+            self._committed.take(inside)
 
     def _replay(self) -> None:
         """Make the current state from the committed one and the pending events."""
         self.method.assign(self._committed)
+        if self.method.denoiser is not None and self._committed.denoiser is not None:
+            self.method.denoiser.restore(self._committed.denoiser.state())
         for events in self._pending:
             inside = self.window.events(events)
             if len(inside):
-                self.method.add_events(inside)
+                self.method.take(inside)
 
 
 def make_state(

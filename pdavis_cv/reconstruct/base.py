@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._types import Events, Parameters, State
 from pdavis_cv._workers import Workers
+from pdavis_cv.reconstruct.denoise import EventDenoiser
 from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
 
@@ -189,10 +190,24 @@ class Reconstructor(ABC):
     workers: Workers = Workers()
     """Threads that share the rows of the image; `fuse` sets them."""
 
+    denoiser: EventDenoiser | None = None
+    """What events pass first, if `fuse` sets one."""
+
     @property
     @abstractmethod
     def parameters(self) -> Parameters:
         """Constructor parameters that make an equal Reconstructor."""
+
+    @property
+    def all_parameters(self) -> Parameters:
+        """The method's `parameters`, and those of the denoiser as ``denoise``."""
+        return self.parameters if self.denoiser is None else {
+            **self.parameters, "denoise": dict(self.denoiser.parameters)}
+
+    def take(self, events: Events) -> None:
+        """Feed the events that the denoiser keeps (see `add_events`)."""
+        self.add_events(
+            events if self.denoiser is None else self.denoiser.filter(events))
 
     @abstractmethod
     def add_events(self, events: Events) -> None:
@@ -298,7 +313,8 @@ class Reconstructor(ABC):
 
     def snapshot(self) -> Snapshot:
         """Return a deep, picklable copy of the state."""
-        return Snapshot(self.method, self.shape, dict(self.parameters), self._state())
+        return Snapshot(self.method, self.shape, dict(self.all_parameters),
+                        self._whole_state())
 
     def assign(self, other: Reconstructor) -> None:
         """Copy the state of an equal Reconstructor.
@@ -322,14 +338,23 @@ class Reconstructor(ABC):
             mine, other = getattr(self, name), getattr(snapshot, name)
             if mine != other:
                 raise ValueError(f"snapshot is of {name} {other!r}, not {mine!r}")
-        mine, other = dict(self.parameters), dict(snapshot.parameters)
+        mine, other = dict(self.all_parameters), dict(snapshot.parameters)
         differing = [name for name in mine.keys() | other.keys()
                      if not np.array_equal(np.asarray(mine.get(name)),
                                            np.asarray(other.get(name)))]
         if differing:
             raise ValueError(
                 f"snapshot was made with other parameters: {', '.join(differing)}")
-        self._restore(snapshot.state)
+        self._restore_whole(snapshot.state)
+
+    def _whole_state(self) -> State:
+        return self._state() if self.denoiser is None else {
+            **self._state(), "denoiser": self.denoiser.state()}
+
+    def _restore_whole(self, state: State) -> None:
+        self._restore(state)
+        if self.denoiser is not None:
+            self.denoiser.restore(state["denoiser"])
 
     @abstractmethod
     def _state(self) -> State:

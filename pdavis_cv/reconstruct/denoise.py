@@ -1,7 +1,7 @@
 """Denoising of events by the support of neighbours behind the same polarizer."""
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,14 +10,10 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._checks import sensor_shape, whole_number
 from pdavis_cv._types import Events, Parameters, State
-from pdavis_cv._workers import Workers
 from pdavis_cv.events import FAR, as_events, timed_events
-from pdavis_cv.reconstruct.base import Estimate, Reconstructor
-from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.reconstruct.stream_clock import StreamClock
-from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["Denoised", "EventDenoiser"]
+__all__ = ["MARGIN", "EventDenoiser"]
 
 RATE_WINDOW_US = 250_000
 """Interval in us after which the pixels' event rates are updated and compared."""
@@ -42,6 +38,11 @@ _NEVER = -(2**62)
 """A time in us before all stamps; differences to it fit 64 bits."""
 _FORGOTTEN = 64
 """Number of intervals without an event after which a rate is 0 in float32."""
+
+
+MARGIN = 4
+"""Distance in pixels up to which others count: whether a neighbour, two pixels away, is
+hot depends on its own."""
 
 
 class EventDenoiser:
@@ -164,89 +165,3 @@ class EventDenoiser:
         self._clock.last_us, self._stop_us = state["last_us"], state["stop_us"]
         self._times[:], self._counts[:] = state["times"], state["counts"]
         self._rates[:], self._hot[:] = state["rates"], state["hot"]
-
-
-class Denoised(Reconstructor):
-    """A method whose events pass an `EventDenoiser` first.
-
-    Parameters
-    ----------
-    method : Reconstructor
-        A new method, fed by this object only.
-    **parameters
-        Parameters of `EventDenoiser`.
-    """
-
-    def __init__(self, method: Reconstructor, **parameters: Any) -> None:
-        self._inner = method
-        self._denoiser = EventDenoiser(method.shape, **parameters)
-        self.method, self.shape = method.method, method.shape
-        self.lookahead_us = method.lookahead_us
-        # Neighbours are two pixels away, and whether they are hot depends on theirs.
-        self.margin = method.margin + 4
-        self.needs = method.needs
-        self.causal_parameters = method.causal_parameters
-        self.shows_at_readout = method.shows_at_readout
-        self.takes_late_frames = method.takes_late_frames
-
-    @property
-    def parameters(self) -> Parameters:
-        """Parameters of the method, and of the denoiser as ``denoise``."""
-        return {**self._inner.parameters, "denoise": dict(self._denoiser.parameters)}
-
-    @property
-    def workers(self) -> Workers:
-        """Threads of the method (see `Reconstructor`)."""
-        return self._inner.workers
-
-    @workers.setter
-    def workers(self, workers: Workers) -> None:
-        self._inner.workers = workers
-
-    @property
-    def quality(self) -> NDArray[np.float32] | None:
-        """Quality of the method's estimate (see `Reconstructor`)."""
-        return self._inner.quality
-
-    def add_events(self, events: Events) -> None:
-        """Feed the events that are kept (see `Reconstructor.add_events`)."""
-        self._inner.add_events(self._denoiser.filter(events))
-
-    def add_frame(self, frame: ApsFrame) -> None:
-        """Feed the frame."""
-        self._inner.add_frame(frame)
-
-    def add_wave(self, wave: Wave) -> None:
-        """Feed the lamp's flicker."""
-        self._inner.add_wave(wave)
-
-    def retune(self, **learned: Any) -> None:
-        """Continue with other parameters of the method."""
-        self._inner.retune(**learned)
-
-    def settle(self, t_us: int) -> None:
-        """Let the method do its pending work (see `Reconstructor.settle`)."""
-        self._inner.settle(t_us)
-
-    def shows(self, t_us: int) -> object | None:
-        """Identify the method's estimate (see `Reconstructor.shows`)."""
-        return self._inner.shows(t_us)
-
-    def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
-        """Return the method's estimate (see `Reconstructor.read`)."""
-        return self._inner.read(t_us, out)
-
-    def begin_read(self, t_us: int) -> Callable[[], Estimate]:
-        """Begin a read of the method (see `Reconstructor.begin_read`)."""
-        return self._inner.begin_read(t_us)
-
-    def intensity(self, log_intensity: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the method's intensity."""
-        return self._inner.intensity(log_intensity)
-
-    def _state(self) -> State:
-        return {"denoiser": self._denoiser.state(), "method": self._inner._state()}
-
-    def _restore(self, state: State) -> None:
-        self._denoiser.restore(state["denoiser"])
-        self._inner._restore(state["method"])

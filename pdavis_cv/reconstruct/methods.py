@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._types import Parameters
 from pdavis_cv.reconstruct.base import Factory, Reconstructor
-from pdavis_cv.reconstruct.denoise import Denoised
+from pdavis_cv.reconstruct.denoise import MARGIN, EventDenoiser
 from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.registry import Registry, instead
 
@@ -144,7 +144,10 @@ def make_reconstructor(
         raise TypeError(
             f"method {_name(method)!r} must make a Reconstructor, got "
             f"{type(made).__name__}")
-    return made if denoise is None else Denoised(made, **denoise)
+    if denoise is not None:
+        made.denoiser = EventDenoiser(made.shape, **denoise)
+        made.margin += MARGIN
+    return made
 
 
 def method_parameters(method: str | Factory) -> tuple[str, ...]:
