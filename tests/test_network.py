@@ -21,7 +21,7 @@ from pdavis_cv import (
     fuse,
     recording_from_arrays,
 )
-from pdavis_cv.reconstruct.firenet import FireNet, Joint, response_table
+from pdavis_cv.reconstruct.firenet import FireNet, Joint
 from pdavis_cv.reconstruct.onnx import network_onnx
 from pdavis_cv.reconstruct.runner import BACKENDS, chosen_backend, make_runner
 from pdavis_cv.reconstruct.weights import Weights
@@ -369,23 +369,6 @@ def test_scalings_are_the_minimum_and_the_range_so_far(network):
     np.testing.assert_allclose(least[usable], want[usable], rtol=1e-3, atol=2e-4)
     want = np.maximum((plain - low) / np.maximum(high - low, 1e-3), 1e-3)
     np.testing.assert_allclose(ranged[usable], want[usable], rtol=5e-3, atol=5e-3)
-
-
-def test_a_table_takes_what_was_given_to_the_light():
-    given = np.random.default_rng(0).uniform(0.1, 0.9, (4, 500))
-    light = np.array([[1], [2], [3], [4]]) * given**2
-    table = response_table(given, light)
-    assert table.shape == (4, 2, 33)
-    for one, true, (x, y) in zip(given, light, table, strict=True):
-        assert (np.diff(x) > 0).all()
-        assert (np.diff(y) >= 0).all()
-        np.testing.assert_allclose(np.interp(one, x, y), true, atol=0.02)
-    noisy = light + np.random.default_rng(1).normal(0, 0.2, light.shape)
-    assert (np.diff(response_table(given, noisy)[:, 1]) >= 0).all()
-    with pytest.raises(ValueError, match=r"given and light must be \(4, N\)"):
-        response_table(given, light[:, :9])
-    with pytest.raises(ValueError, match="given must vary"):
-        response_table(np.ones((4, 9)), light[:, :9])
 
 
 def test_a_method_passes_its_intensity_through_the_table():

@@ -16,7 +16,7 @@ from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.fusion import fuse
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.checkpoint import firenet_weights
-from pdavis_cv.reconstruct.firenet import PLACES, FireNet, Joint, response_table
+from pdavis_cv.reconstruct.firenet import PLACES, FireNet, Joint
 from pdavis_cv.reconstruct.weights import Weights
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.sensor import CHANNELS, PDAVIS_EXTINCTION_RATIO, Sensor
@@ -40,6 +40,7 @@ from .light import (
 )
 from .page import table
 from .print_style import PAGE_IN, letters, look, new_figure
+from .response import response_table
 from .rotation import RPMS
 from .run import OFF_LOCK, TAIL_US, Case, Settings, Take
 

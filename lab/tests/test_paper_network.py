@@ -7,6 +7,7 @@ import pytest
 import reference_network as reference
 
 from lab.paper import command, network
+from lab.paper.response import response_table
 from lab.paper.run import Case, Settings
 from pdavis_cv.reconstruct.weights import Weights
 from pdavis_cv.simulation import RotatingPolarizer
@@ -134,3 +135,20 @@ def test_weights_that_are_none_are_one_line(tmp_path, capsys):
     said = capsys.readouterr().err
     assert "w.pth.tar" in said
     assert said.count("\n") == 1
+
+
+def test_a_table_takes_what_was_given_to_the_light():
+    given = np.random.default_rng(0).uniform(0.1, 0.9, (4, 500))
+    light = np.array([[1], [2], [3], [4]]) * given**2
+    table = response_table(given, light)
+    assert table.shape == (4, 2, 33)
+    for one, true, (x, y) in zip(given, light, table, strict=True):
+        assert (np.diff(x) > 0).all()
+        assert (np.diff(y) >= 0).all()
+        np.testing.assert_allclose(np.interp(one, x, y), true, atol=0.02)
+    noisy = light + np.random.default_rng(1).normal(0, 0.2, light.shape)
+    assert (np.diff(response_table(given, noisy)[:, 1]) >= 0).all()
+    with pytest.raises(ValueError, match=r"given and light must be \(4, N\)"):
+        response_table(given, light[:, :9])
+    with pytest.raises(ValueError, match="given must vary"):
+        response_table(np.ones((4, 9)), light[:, :9])

@@ -29,7 +29,7 @@ from pdavis_cv.reconstruct.turns import Turns
 from pdavis_cv.reconstruct.weights import BINS, MEMORY, Weights
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["SCALINGS", "FireNet", "Joint", "response_table"]
+__all__ = ["SCALINGS", "FireNet", "Joint"]
 
 SCALINGS = ("minimum", "normalise", "table")
 """The paper's calibrations of a network's output, in `FireNet`'s ``scaling``."""
@@ -41,7 +41,6 @@ IDLE = 64
 PLACES = ((1, 0), (1, 1), (0, 1), (0, 0))
 
 _SHORTEST_US, _LONGEST_US = 1_000, 1_000_000
-_KNOTS = 33         # of each curve of a table
 _SMALLEST = 1e-3  # lower bound of the intensity, so that its logarithm is finite
 
 Array = NDArray[np.float32]
@@ -288,7 +287,7 @@ class FireNet(_Recurrent):
         so far; also divide by the range so far; interpolate in ``table``.
     table : array_like of shape (4, 2, K), optional
         Per place in the cell, anticlockwise from the bottom left: output of the
-        network, increasing, and the corresponding light; see `response_table`.
+        network, increasing, and the corresponding light.
 
     Raises
     ------
@@ -322,25 +321,7 @@ class Joint(_Recurrent):
 
     Inputs are 5 bins and two leaky integrals (8 and 64 windows) of each channel;
     outputs are S0 in front of each pixel of a cell and the cell's S1/S0 and S2/S0.
-    Errors and windows are as for `FireNet`.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        (height, width).
-    theta_on, theta_off : float, or array_like of shape (H, W)
-        Contrast thresholds, positive, in natural-log units.
-    window_us : int
-        1,000 to 1,000,000; at most an eighth of the signal's period, or a
-        `WindowWarning` says so.
-    weights : path or Weights, optional
-        Default: those that come with the package.
-    backend : {"auto", "onnxruntime", "cv2"}
-        Library that runs the network.
-    scaling : {None, "minimum", "normalise", "table"}
-        As for `FireNet`, though it is not needed here.
-    table : array_like of shape (4, 2, K), optional
-        As for `FireNet`.
+    Parameters, errors and windows are those of `FireNet`; no `scaling` is needed.
     """
 
     method, cheaper, trials = "joint", "kalman", {}     # 10 times as slow
@@ -363,53 +344,6 @@ class Joint(_Recurrent):
         light += 1
         light *= np.exp(planes[:4]) / 2
         return light
-
-
-def response_table(given: ArrayLike, light: ArrayLike) -> Array:
-    """Fit the table from a network's output to the light, monotone, by channel.
-
-    Parameters
-    ----------
-    given, light : array_like of shape (4, N)
-        Output of the network, and the light, over one period, by place in the cell (see
-        `FireNet`).
-
-    Returns
-    -------
-    ndarray of float32, shape (4, 2, 33)
-        For ``FireNet(scaling="table", table=...)``.
-
-    Raises
-    ------
-    ValueError
-        If the arrays do not fit each other or a channel does not vary.
-    """
-    x, y = np.asarray(given, np.float64), np.asarray(light, np.float64)
-    if x.ndim != 2 or len(x) != 4 or x.shape != y.shape or x.shape[1] < 2:
-        raise ValueError(
-            f"given and light must be (4, N), got {x.shape} and {y.shape}")
-    curves = []
-    for one, true in zip(x, y, strict=True):
-        order = np.argsort(one, kind="stable")
-        one, true = one[order], _monotone(true[order])
-        if one[0] == one[-1]:
-            raise ValueError("given must vary in each channel, got a constant")
-        ends = np.linspace(one[0], one[-1], _KNOTS)
-        known, first = np.unique(one, return_index=True)
-        curves.append((ends, np.interp(ends, known, true[first])))
-    return np.asarray(curves, np.float32)
-
-
-def _monotone(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the least-squares increasing sequence: pool adjacent violators."""
-    blocks: list[tuple[float, int]] = []
-    for value in values.tolist():
-        mean, n = value, 1
-        while blocks and blocks[-1][0] >= mean:
-            before, m = blocks.pop()
-            mean, n = (before * m + mean * n) / (m + n), m + n
-        blocks.append((mean, n))
-    return np.repeat([mean for mean, _ in blocks], [n for _, n in blocks])
 
 
 def _weights(given: str | Path | Weights | None, network: str) -> Weights:
