@@ -52,10 +52,6 @@ MOST_TIMES = 9999
 """Largest ratio to report; beyond it the noise beside the line is negligible."""
 CLOCK_HZ = 1.5
 """Largest distance of a harmonic of the frame clock from a line that is 1 Hz wide."""
-KAPPA, CAPACITOR_RATIO = 0.7, 20
-"""Constants of the formula for thresholds: subthreshold slope of both kinds of
-transistors, and C1 / C2 of the differencing amplifier (Nozaki and Delbruck 2017)."""
-F_THRESHOLD = KAPPA / (KAPPA**2 * CAPACITOR_RATIO)
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,11 +256,4 @@ def _about_header(recording: Recording) -> list[Advice]:
         found.append(Advice(
             "orientation", "aedat4to2 writes its files mirrored left to right",
             "use layout.flip_x(), or convert the original"))
-    biases = info.biases
-    if {"DiffBn", "OnBn", "OffBn"} <= biases.keys() and min(biases.values()) > 0:
-        on = F_THRESHOLD * np.log(biases["OnBn"] / biases["DiffBn"])
-        off = F_THRESHOLD * np.log(biases["DiffBn"] / biases["OffBn"])
-        found.append(Advice(
-            "thresholds", f"the biases should give +{on:.3f} and -{off:.3f} in log "
-            "intensity", "start from these; in-situ estimation refines them"))
     return found
