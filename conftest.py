@@ -19,6 +19,17 @@ DATA = Path(os.environ.get("PDAVIS_TEST_DATA") or "/nowhere")
 DATA_WORDS = ("PDAVIS_TEST_DATA", "test data", "real data")
 
 
+def pytest_collection():
+    """Leave garbage alone while thousands of tests are made that stay."""
+    gc.disable()
+
+
+def pytest_collection_finish():
+    """Look for garbage again, among what comes from now on."""
+    gc.enable()
+    gc.freeze()
+
+
 @pytest.fixture(scope="session")
 def data_dir():
     """Return the folder of real recordings; skip where there is none."""
