@@ -17,7 +17,7 @@ from ._demosaic import (
     reached,
 )
 from ._denoise import denoise_events, denoise_rates
-from ._elementwise import exp, mismatch, reconcile
+from ._elementwise import exp, least_squares, mismatch, reconcile
 from ._event_text import text_events
 from ._event_words import (
     event_columns,

@@ -1,4 +1,5 @@
 """Functions of each pixel, with the same bits on every CPU."""
+from _kernels._types cimport pixel_t
 from _kernels._weighted cimport mismatch_row, reconcile_row
 
 cdef extern from "_curves.h" nogil:
@@ -70,3 +71,54 @@ def reconcile(float[:, :, ::1] quad not None, const float[:, :, ::1] variance no
                 &variance[0, row, 0], &variance[1, row, 0], &variance[2, row, 0],
                 &variance[3, row, 0], &null[0, at, 0], &null[1, at, 0],
                 &null[2, at, 0], &null[3, at, 0], one, width)
+
+
+cdef enum:
+    CHUNK = 1024
+
+
+cdef inline void add_image(float* out, const pixel_t* image, float factor,
+                           Py_ssize_t n) noexcept nogil:
+    cdef Py_ssize_t x
+    for x in range(n):
+        out[x] += factor * <float>image[x]
+
+
+cdef inline void add_square(float* rest, const pixel_t* image, const float* a,
+                            const float* q, Py_ssize_t stride, Py_ssize_t n
+                            ) noexcept nogil:
+    cdef Py_ssize_t x
+    cdef float r, a0 = a[0], a1 = a[1], a2 = a[2], a3 = a[3]
+    for x in range(n):
+        r = <float>image[x] - (a0 * q[x] + a1 * q[stride + x] + a2 * q[2 * stride + x]
+                               + a3 * q[3 * stride + x])
+        rest[x] += r * r
+
+
+def least_squares(const pixel_t[:, ::1] images not None,
+                  const float[:, ::1] solution not None,
+                  const float[:, ::1] response not None,
+                  float[:, ::1] out not None, float[::1] rest not None):
+    """Write solution (4, n) times images (n, p) to out (4, p).
+
+    rest (p) gets the sum of squares of images less response (n, 4) times out.
+    """
+    cdef Py_ssize_t n = images.shape[0], p = images.shape[1], begin, m, j, k, x
+    cdef float zero = 0
+    if (solution.shape[0] != 4 or solution.shape[1] != n or response.shape[0] != n
+            or response.shape[1] != 4 or out.shape[0] != 4 or out.shape[1] != p
+            or rest.shape[0] != p):
+        raise ValueError("least_squares: images must be (n, p), solution (4, n), "
+                         "response (n, 4), out (4, p), rest p floats")
+    with nogil:
+        for k in range((p + CHUNK - 1) // CHUNK):
+            begin = k * CHUNK
+            m = p - begin if p - begin < CHUNK else CHUNK
+            for x in range(begin, begin + m):
+                out[0, x] = out[1, x] = out[2, x] = out[3, x] = rest[x] = zero
+            for j in range(n):
+                for x in range(4):
+                    add_image(&out[x, begin], &images[j, begin], solution[x, j], m)
+            for j in range(n):
+                add_square(&rest[begin], &images[j, begin], &response[j, 0],
+                           &out[0, begin], p, m)

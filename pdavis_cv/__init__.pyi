@@ -127,6 +127,7 @@ from .sensor import (
     Layout as Layout,
     Sensor as Sensor,
 )
+from .steps import AnalyserSteps as AnalyserSteps
 from .stokes_vector import (
     aop as aop,
     debias_dolp as debias_dolp,

@@ -66,6 +66,7 @@ __all__ = [
     "learning_means",
     "learning_past",
     "learning_silences",
+    "least_squares",
     "log_frame",
     "mean_around",
     "mismatch",
@@ -129,6 +130,9 @@ def evt3_words(
 def ros_events(
     data: _U8, start: int, stride: int, count: int, places: _I64, shift: int,
     height: int, width: int, state: _I64, out: NDArray[Any],
+) -> None: ...
+def least_squares(
+    images: NDArray[_Pixel], solution: _F32, response: _F32, out: _F32, rest: _F32
 ) -> None: ...
 def smooth(image: _F32, taps: _F32, scratch: _F32, out: _F32) -> None: ...
 def colour_means(

@@ -1,7 +1,7 @@
 """PolarFrame, an image of polarization, and `polarization`, which makes one."""
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, Self
 
@@ -29,6 +29,9 @@ from pdavis_cv.stokes_vector import (
 )
 
 __all__ = ["PolarFrame", "polarization"]
+
+_Sigmas = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+_Made = Callable[[], NDArray[np.float32]]
 
 
 class PolarFrame(Advises):
@@ -93,8 +96,7 @@ class PolarFrame(Advises):
     _reconciled: bool
     _origin: PolarFrame | None
     _aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None
-    _sigmas: tuple[
-        NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]] | None
+    _sigmas: _Sigmas | NDArray[np.float32] | _Made | None
     _stokes: tuple[
         NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]] | None
     _usable: NDArray[np.bool_] | None
@@ -137,12 +139,13 @@ class PolarFrame(Advises):
         quality: NDArray[np.float32] | None = None,
         reconciled: bool = False,
         aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None,
-        sigmas: NDArray[np.float32] | None = None,
+        sigmas: NDArray[np.float32] | _Made | None = None,
     ) -> Self:
         """Make a PolarFrame that takes ownership of the arrays without copying them.
 
         The parameters are those of the class, and angle and degree if they are known
-        already, and errors: of AoP, of DoLP, and of (S1, S2)/S0 across its direction.
+        already, and errors: of AoP, of DoLP, and of (S1, S2)/S0 across its direction,
+        or what makes them at first use.
         ``quad``, ``variance`` and ``quality`` must be C-contiguous float32,
         ``valid`` C-contiguous bool.  They become read-only, and no other code may keep
         references to their memory.
@@ -161,8 +164,7 @@ class PolarFrame(Advises):
                    provenance, quality=quality, reconciled=reconciled)
         if aop_dolp is not None:
             frame._aop_dolp = frozen(aop_dolp[0]), frozen(aop_dolp[1])
-        if sigmas is not None:
-            frame._sigmas = frozen(sigmas[0]), frozen(sigmas[1]), frozen(sigmas[2])
+        frame._sigmas = sigmas
         return frame
 
     @classmethod
@@ -376,24 +378,24 @@ class PolarFrame(Advises):
         self._aop_dolp = frozen(angle), frozen(degree)
         return self._aop_dolp
 
-    def _propagated(
-        self,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]] | None:
-        if self._variance is None:
-            return self._sigmas
-        if self._sigmas is None:
+    def _propagated(self) -> _Sigmas | None:
+        given = self._sigmas() if callable(self._sigmas) else self._sigmas
+        if given is not None:
+            self._sigmas = frozen(given[0]), frozen(given[1]), frozen(given[2])
+        elif self._variance is not None:
             analyser = self._analyser or Analyser.ideal(self.extinction_ratio)
             self._sigmas = propagated(
                 self._planes(), analyser.solution, self._variance * self.quad**2,
                 analyser.null() if self._reconciled else None)
-        return self._sigmas
+        return self._sigmas if isinstance(self._sigmas, tuple) else None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored_frame, (
             self._quad, self._valid, self.t_us, self.frame_us, self.extinction_ratio,
             self._analyser, self._variance, self._provenance, self._quality,
             self._reconciled), (None, {
-                "_sigmas": self._sigmas, "_colours": dict(self._colours)})
+                "_sigmas": None if self._sigmas is None else self._propagated(),
+                "_colours": dict(self._colours)})
 
     def __array__(
         self, dtype: DTypeLike | None = None, copy: bool | None = None

@@ -203,7 +203,7 @@ def propagated(
     variance: NDArray[np.float32],
     null: NDArray[np.float32] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Propagate the variance of the intensities, (4, H, W).
+    """Propagate the variance of the intensities, (4, H, W) or of any number of them.
 
     Returns the standard deviations of AoP, of DoLP, and of (S1 / S0, S2 / S0) across
     the direction of polarization.  Weighted least squares has removed the error along
@@ -216,7 +216,7 @@ def propagated(
     # Covariances with n . I, where n is `null`, and the variance of n . I.
     with_aop, with_dolp, along = (np.zeros_like(s0) for _ in range(3))
     with np.errstate(divide="ignore", invalid="ignore"):
-        for k in range(4):
+        for k in range(len(variance)):
             m0, m1, m2 = solution[0, k], solution[1, k], solution[2, k]
             slope = (s1 * m2 - s2 * m1) / (2 * square)
             var_aop += slope**2 * variance[k]

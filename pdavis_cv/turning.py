@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv.steps import AnalyserSteps
+
 __all__ = ["PulseClock", "TurningAnalyser"]
 
 _LEAST_RPM, _MOST_RPM = 0.1, 60_000.0
@@ -108,6 +110,28 @@ class TurningAnalyser:
         t, a = np.array(clock.kept).T
         rate = np.diff(a) / np.diff(t)
         return np.stack([t, a, np.append(rate, rate[-1])], 1)
+
+
+    def steps(
+        self, mid_us: ArrayLike, exposure_us: float, pulses_us: ArrayLike | None = None
+    ) -> AnalyserSteps:
+        """Return the angle in each of a camera's exposures, and the turn within one.
+
+        Parameters
+        ----------
+        mid_us : array_like of int, shape (N,)
+            Middle of each exposure.
+        exposure_us : float
+            Its length, in which the polarizer turns at its mean speed.
+        pulses_us : array_like of int, optional
+            As for `segments`.
+        """
+        t, twice, rate = self.segments(pulses_us).T
+        middle = np.asarray(mid_us, np.float64)
+        at = np.maximum(np.searchsorted(t, middle, side="right") - 1, 0)
+        return AnalyserSteps(
+            tuple((twice[at] + rate[at] * (middle - t[at])) / 2),
+            float(rate[at].mean()) * exposure_us / 2)
 
 
 class PulseClock:

@@ -40,7 +40,7 @@ def run(page, folder):
 def test_there_is_a_tutorial_for_each_kind_of_user():
     assert {page.stem for page in PAGES} == {
         "opencv", "notebook", "microscopy", "robotics", "sony", "jaer-dv",
-        "calibration", "turning"}
+        "calibration", "turning", "any-camera"}
 
 
 @pytest.mark.parametrize("name", ["fan", "tendon"])

@@ -44,7 +44,8 @@ def is_ours(source: Any, backend: int, parameters: Parameters) -> bool:
     parameters : mapping of str to object
         Those of VideoCapture.
     """
-    mosaic = any(parameters.get(name) is not None for name in ("layout", "sensor"))
+    mosaic = any(parameters.get(name) is not None for name in (
+        "layout", "sensor", "analyser_steps"))
     if (backend == c.CAP_PDAVIS or isinstance(source, Source)
             or (backend == 0 and is_address(source))):
         return True

@@ -92,7 +92,8 @@ def open_recording(
             raise _not_a_recording(path, start)
         found = FORMATS["text"]
     if found is None and (
-            options.known_layout is not None or is_four_planes(str(path))):
+            options.known_layout is not None or options.analyser_steps is not None
+            or is_four_planes(str(path))):
         found = FORMATS["images"]
     if found is None:
         raise _not_a_recording(path, first_bytes(path))

@@ -15,6 +15,7 @@ from pdavis_cv._options import Options, documented, option
 from pdavis_cv._types import Parameters
 from pdavis_cv.recording.limits import Limits
 from pdavis_cv.sensor import SENSORS, Layout, Sensor
+from pdavis_cv.steps import AnalyserSteps
 
 __all__ = ["MAX_SIDE", "MOST_DN", "SourceKeywords", "SourceOptions", "source_part"]
 
@@ -95,6 +96,15 @@ class SourceOptions(Options):
         'Order of the columns of a text file of events, e.g. "xypt", with "_" for one '
         'of something else; default: the names in the text, else "txyp".', "text",
         "order of the columns of a text file of events, e.g. xypt")
+    analyser_steps: AnalyserSteps | str | None = option(
+        None, "AnalyserSteps or str, optional",
+        "The files are images of an ordinary camera before a scene at rest, each at "
+        'another angle of a polarizer before it: the angles, "names" (in the files\' '
+        'names: pol_030.png), degrees ("0,30,60"), a text file of them, or "found" '
+        "from the images, up to their zero and direction.  They become one frame of "
+        "four planes.", "text",
+        "images of an ordinary camera, each at another angle of a polarizer: names "
+        "(pol_030.png), degrees as 0,30,60, a text file of them, or found")
     bad_events: str = option(
         "drop", '{"drop", "raise"}',
         "Whether events outside the sensor or before their predecessor are dropped and "
@@ -135,6 +145,9 @@ class SourceOptions(Options):
                 self._put(name, whole_number(name, value, 1, most))
         if self.bits is not None and self.full_scale_dn is not None:
             raise ValueError("give bits or full_scale_dn, not both")
+        if not isinstance(self.analyser_steps, AnalyserSteps | str | None):
+            raise TypeError("analyser_steps must be AnalyserSteps or a str, got "
+                            f"{type(self.analyser_steps).__name__}")
         if not isinstance(self.limits, Limits | None):
             raise TypeError(f"limits must be Limits, got {type(self.limits).__name__}")
         if not isinstance(self.isolated, bool):
@@ -187,6 +200,7 @@ class SourceKeywords(TypedDict, total=False):
     bits: int | None
     full_scale_dn: int | None
     columns: str | None
+    analyser_steps: AnalyserSteps | str | None
     bad_events: str
     limits: Limits | None
     isolated: bool

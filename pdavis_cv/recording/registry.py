@@ -104,7 +104,8 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
         name="images", title="video or images of a polarization camera",
         holds=frozenset(("frames",)), needs_layout=True, extra="frames",
         sniff=f"{_ROOM}.images.stills:is_image_array",
-        read_options=("source_fps", "exposure_us", "bits", "full_scale_dn"),
+        read_options=("source_fps", "exposure_us", "bits", "full_scale_dn",
+                      "analyser_steps"),
         reader=f"{_ROOM}.images.reader:ImageRecording"),
     Format(
         name="numpy", title="NumPy arrays of events", holds=_EVENTS,

@@ -10,7 +10,7 @@ from pathlib import Path
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.sensor import CHANNELS
 
-__all__ = ["by_angle", "names_of", "natural_order"]
+__all__ = ["angles_of", "by_angle", "names_of", "natural_order"]
 
 FIRST_NUMBERS = range(5)
 """Possible first numbers of a pattern, as in cv2.VideoCapture."""
@@ -89,3 +89,42 @@ def by_angle(names: Sequence[str]) -> list[list[str]] | None:
     first = natural_order(group[0] for group in whole)
     order = sorted(whole, key=lambda group: first.index(group[0]))
     return [[group[angle] for group in order] for angle in CHANNELS]
+
+
+def angles_of(stated: str, names: Sequence[str]) -> list[float]:
+    """Return the angle in degrees of each file's polarizer.
+
+    Parameters
+    ----------
+    stated : str
+        ``"names"``: the last number that differs in them, as in ``pol_030.png``;
+        numbers with commas; or the name of a text file with one number a line, which
+        may follow the name of the image.
+    names : sequence of str
+
+    Raises
+    ------
+    ValueError
+        If they do not tell it.
+    """
+    if stated == "names":
+        found = [re.findall(r"\d+(?:\.\d+)?", Path(name).stem) for name in names]
+        for column in reversed(list(zip(*found, strict=False))):
+            if len(set(column)) > 1:
+                return [float(number) for number in column]
+        raise ValueError("analyser_steps: names must differ in an angle, as "
+                         f"pol_030.png, got {Path(names[0]).name}")
+    try:
+        if not Path(stated).is_file():
+            return [float(number) for number in stated.split(",")]
+        rows = [line.replace(",", " ").split()
+                for line in Path(stated).read_text().splitlines() if line.strip()]
+        told = {row[0]: float(row[-1]) for row in rows if len(row) > 1}
+        return [told[Path(name).name] for name in names] if told else [
+            float(number) for number, in rows]
+    except KeyError as error:
+        raise ValueError(f"analyser_steps: {stated} has no angle of {error}") from None
+    except ValueError:
+        raise ValueError(
+            "analyser_steps must be names, found, angles in degrees as 0,30,60, or a "
+            f"text file of them, got {stated!r}") from None

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.errors import RecordingError
+from pdavis_cv.recording.images.checks import measured_full_scale
+from pdavis_cv.steps import AnalyserSteps
 
-__all__ = ["FourPictures", "Images", "PictureFacts", "Pictures", "Several", "one_plane",
-           "readable"]
+__all__ = ["FourPictures", "Images", "PictureFacts", "Pictures", "Several",
+           "SteppedPictures", "one_plane", "readable"]
 
 
 Images = Generator[tuple[float | None, NDArray[Any]], None, None]
@@ -135,6 +137,34 @@ class FourPictures(Pictures):
                     "the four channels must have equal sizes, got "
                     f"{[plane.shape for plane in planes]}")
             yield four[0][0], np.stack(planes)
+
+
+class SteppedPictures(Pictures):
+    """Pictures of a scene at rest behind an analyser, as one with four planes.
+
+    Parameters
+    ----------
+    pictures : Pictures
+    steps : AnalyserSteps, optional
+        The angle of each; default: they are found.
+    """
+
+    def __init__(self, pictures: Pictures, steps: AnalyserSteps | None) -> None:
+        self._pictures, self._steps = pictures, steps
+        self.facts = replace(pictures.facts, count=1, elapsed_us=None, interval_us=None,
+                             kind=f"stepped analyser, {pictures.facts.kind}")
+
+    def images(self, first: int = 0) -> Images:
+        """Iterate over the image; see `Pictures`."""
+        if first:
+            return
+        stack = np.stack([image for _, image in self._pictures.images()])
+        steps = AnalyserSteps.found(stack) if self._steps is None else self._steps
+        full = self.facts.full_scale_dn or measured_full_scale(list(stack)) or (
+            255 if stack.dtype == np.uint8 else None)
+        image = steps.polarization(stack, None if full is None else stack < full)
+        # Where too few are not clipped, neither is known.
+        yield None, np.where(image.valid, image.quad, np.float32(full or 0))
 
 
 @contextmanager

@@ -21,14 +21,20 @@ from pdavis_cv.recording.images.checks import (
     found_colours,
     measured_full_scale,
 )
-from pdavis_cv.recording.images.names import by_angle, names_of
-from pdavis_cv.recording.images.pictures import FourPictures, Pictures, Several
+from pdavis_cv.recording.images.names import angles_of, by_angle, names_of
+from pdavis_cv.recording.images.pictures import (
+    FourPictures,
+    Pictures,
+    Several,
+    SteppedPictures,
+)
 from pdavis_cv.recording.images.stills import ArrayPictures, StillPicture
 from pdavis_cv.recording.images.tiff import TiffPictures
 from pdavis_cv.recording.images.video import VideoPictures
 from pdavis_cv.recording.members import Member, members_of
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.sensor import Layout
+from pdavis_cv.steps import AnalyserSteps
 
 __all__ = ["ImageRecording", "is_four_planes"]
 
@@ -82,7 +88,7 @@ class ImageRecording(FileRecording):
         source = os.fspath(self._path)
         names = self._names or names_of(source)
         self._members = members_of(names)
-        self._pictures = pictures = self._opened(names)
+        self._pictures = pictures = self._opened(names, options.analyser_steps)
         first = self._sample(0)
         if first is None:
             raise RecordingError(f"{source}: holds no image")
@@ -115,7 +121,9 @@ class ImageRecording(FileRecording):
             demosaic="superpixel" if self._four else None,
             header={"fps": float(self._fps), "dtype": str(first.dtype)})
 
-    def _opened(self, names: Sequence[str]) -> Pictures:
+    def _opened(
+        self, names: Sequence[str], stated: AnalyserSteps | str | None
+    ) -> Pictures:
         """Return the pictures of files, four of which may be the channels."""
         def one(name: str) -> Pictures:
             suffix = Path(name).suffix.lower()
@@ -129,6 +137,11 @@ class ImageRecording(FileRecording):
         def several(files: Sequence[str]) -> Pictures:
             return one(files[0]) if len(files) == 1 else Several(files, one)
 
+        if stated is not None:
+            if isinstance(stated, str):
+                stated = None if stated == "found" else AnalyserSteps(
+                    tuple(np.deg2rad(angles_of(stated, names))))
+            return SteppedPictures(several(names), stated)
         four = by_angle(names)
         return several(names) if four is None else FourPictures(
             [several(files) for files in four])
