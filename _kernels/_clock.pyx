@@ -2,7 +2,7 @@
 from libc.stdint cimport int64_t
 
 from _kernels._check cimport (
-    BACKWARD, BEFORE, LAST, OFFSET, ORDERED, SEGMENT_US, STATE, far, far_us)
+    BACKWARD, BEFORE, LAST, OFFSET, ORDERED, SEGMENT_US, STATE, far_us)
 from _kernels._types cimport event_t
 
 cdef enum:
@@ -80,7 +80,7 @@ def settle(event_t[::1] samples not None, Py_ssize_t accepted, Py_ssize_t n, int
     cdef Py_ssize_t w = accepted, i = accepted, until = n if final else n - reach
     cdef Py_ssize_t m, j, gone
     cdef int64_t offset, last, behind, floor, t, added
-    cdef int64_t most = far_us()
+    cdef int64_t most = far_us(), earliest = -(<int64_t>1 << 55)
     cdef Py_ssize_t ordered = n if state[ORDERED] < 0 else state[ORDERED]
     cdef bint jumps = move is not None
     cdef event_t* s
@@ -94,7 +94,7 @@ def settle(event_t[::1] samples not None, Py_ssize_t accepted, Py_ssize_t n, int
     with nogil:
         while i < until:
             if w == i:
-                while i < until and -most <= s[i].t <= most - offset and (
+                while i < until and earliest <= s[i].t <= most - offset and (
                         last <= s[i].t + offset):
                     if i == ordered and not offset and s[n - 1].t <= most:
                         i = until       # as the kernel that decoded them has seen
@@ -107,7 +107,7 @@ def settle(event_t[::1] samples not None, Py_ssize_t accepted, Py_ssize_t n, int
                 if i == until:
                     break
             t = moved(s[i].t, offset)
-            if far(s[i].t) or far(t):
+            if not (earliest <= s[i].t <= most and earliest <= t <= most):
                 state[BACKWARD] += 1
                 i += 1
                 continue

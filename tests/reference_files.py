@@ -73,7 +73,7 @@ def settle(times, *, reach=8, equal=64, last=-(1 << 61), segments=True):
     far = 1 << 61
     while i < len(times):
         t, before = times[i] + offset, kept[-1][1] if kept else floor
-        if abs(times[i]) > far or abs(t) > far:
+        if not (-(1 << 55) <= times[i] <= far and -(1 << 55) <= t <= far):
             i += 1
             continue
         if t >= before:

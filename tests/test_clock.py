@@ -91,6 +91,13 @@ def test_a_segment_needs_the_agreement_of_several_times():
     assert [t for _, t in got] == [*one, *range(one[-1] + 1, one[-1] + 3001, 10)]
 
 
+@pytest.mark.parametrize("early", [-2**61 + 5, -2**56])
+def test_times_before_any_clock_are_damage(early):
+    good = list(range(1000, 2000, 10))
+    assert [t for _, t in settled([early, early + 1, early + 2, *good])[0]] == good
+    assert not settled(range(early, early + 20))[0]
+
+
 def test_streams_share_the_shift_of_a_segment():
     timeline = Timeline()
     fast, slow = Clock(timeline), Clock(timeline)

@@ -1,5 +1,6 @@
 """Limits: files that would take memory or work out of proportion are refused."""
 import bz2
+import contextlib
 import itertools
 import struct
 import subprocess
@@ -15,6 +16,7 @@ import pytest
 
 import pdavis_cv
 from pdavis_cv import Calibration, Limits, RecordingError, open_recording
+from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.packetise import Batch, packetise
 
@@ -236,8 +238,22 @@ def test_a_window_of_far_times_is_a_part_of_the_whole(far, tmp_path):
                     np.testing.assert_array_equal(from_packets(one, start, stop), part)
 
 
+@pytest.fixture
+def looked_at(monkeypatch):
+    """Return a list of the sizes of what is read of files."""
+    read, sizes = FileReader.read, []
+
+    def counted(*arguments):
+        data = read(*arguments)
+        sizes.append(len(data))
+        return data
+
+    monkeypatch.setattr(FileReader, "read", counted)
+    return sizes
+
+
 @pytest.mark.parametrize(("suffix", "step"), [("aedat4", 24), ("aedat", 60)])
-def test_what_is_searched_grows_with_the_file(suffix, step, tmp_path, monkeypatch):
+def test_what_is_searched_grows_with_the_file(suffix, step, tmp_path, looked_at):
     """Each packet says that it reaches to the end of the file."""
     def searched(count):
         path = tmp_path / f"{count}.{suffix}"
@@ -252,31 +268,47 @@ def test_what_is_searched_grows_with_the_file(suffix, step, tmp_path, monkeypatc
                 data += struct.pack("<hhiiiiii", 1, 1, 8, 4, 0, n, n, n) + bytes(
                     step - 28)
         path.write_bytes(data)
-        found, looked = Budget.search, []
-        monkeypatch.setattr(Budget, "search", lambda self, at, size: (
-            looked.append(size), found(self, at, size)))
+        looked_at.clear()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", pdavis_cv.DamagedFileWarning)
             recording = open_recording(path)
             if suffix == "aedat":       # a reading searches, opening has searched
-                looked.clear()
-            list(recording.packets())
-        monkeypatch.undo()
-        return sum(looked) / len(data)
+                looked_at.clear()
+            with contextlib.suppress(RecordingError):
+                list(recording.packets())
+        return (sum(looked_at) - (1 << 20)) / len(data)
 
-    assert searched(400) <= 8
-    assert searched(1600) <= 8
+    assert searched(400) <= 4
+    assert searched(1600) <= 4
+    assert searched(25_600) <= 4
+
+
+@pytest.mark.filterwarnings("ignore::pdavis_cv.DamagedFileWarning")
+def test_packets_that_all_moved_are_found_without_searching_for_each(
+        tmp_path, looked_at):
+    path = tmp_path / "a.aedat4"
+    times = 10**9 + np.arange(2000) * 10_000
+    rows = np.zeros(2000, pdavis_cv.EVENT_DTYPE)
+    rows["t"] = times
+    pdavis_cv.write_aedat4(path, pdavis_cv.recording_from_arrays(
+        rows, sensor_size=(12, 16)), compression="none")
+    data = path.read_bytes()
+    begin, last = (data.index(struct.pack("<q", t)) for t in times[[0, -1]])
+    at = begin + 16
+    path.write_bytes(data[:at] + bytes(16) + data[at:last] + data[last + 16:])
+    with open_recording(path) as recording:
+        looked_at.clear()
+        assert len(recording.events()) == 1999
+    assert sum(looked_at) < 4 * len(data)
 
 
 def test_a_search_beyond_the_limit_is_an_error(tmp_path):
     path = tmp_path / "a"
     path.write_bytes(bytes(1000))
     budget = Budget(path, Limits(work_per_byte=2))
-    for _ in range(4):
-        budget.search(0, 1 << 18)
+    budget.searched(1 << 20)
     with pytest.raises(RecordingError, match="work_per_byte=2 allows"):
-        budget.search(1, 1 << 18)
-    budget.search(0, 1)     # of another reading
+        budget.searched((1 << 20) + 2001)
 
 
 def test_frames_far_ahead_of_the_events_are_not_kept(tmp_path):

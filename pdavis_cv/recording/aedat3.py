@@ -25,6 +25,7 @@ from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import Batch, cell_start
 from pdavis_cv.recording.scratch import Scratch
+from pdavis_cv.recording.search import Search
 from pdavis_cv.recording.sequential import PiecewiseRecording
 from pdavis_cv.recording.timeline import (
     BACKWARD,
@@ -151,10 +152,11 @@ class Aedat3Recording(PiecewiseRecording):
     ) -> Iterator[tuple[int, int, int, int, bytes]]:
         """Yield (byte, kind, event size, overflow, events) of packets from at on."""
         end = self._reader.size
+        search = Search(self._reader, self._budget, self._begins)
         found = self._plausible(at)
         while at < end:
             if found is None:
-                after = self._resync(at + 1, end)
+                after = next(search.places(at + 1, end), None)
                 if not quiet:
                     self._log.damage(
                         at, f"byte {at}: no whole packet is here, reading goes on at "
@@ -167,18 +169,19 @@ class Aedat3Recording(PiecewiseRecording):
             after = at + _HEAD.size + size * count
             following = self._plausible(after)
             # The size is wrong or bytes are missing: the next may begin inside.
-            inside = self._resync(at + 1, after) if (
+            inside = next(search.places(at + 1, after), None) if (
                 following is None and after < end) else None
             data = b"" if inside else self._reader.read(at + _HEAD.size, size * count)
             if (following is not None or after >= end) and _looks_torn(
                     kind, size, data):
-                inside = self._hidden(at + 1, after)
+                inside = self._hidden(search, at + 1, after)
             if inside is not None:
                 if not quiet:
                     self._log.damage(at, f"byte {at}: a packet that should end at "
                                      f"byte {after} ends at {inside}", offset=at)
                 count = max(inside - at - _HEAD.size, 0) // size
                 after, following = inside, self._plausible(inside)
+                search.wasted(len(data))
                 data = self._reader.read(at + _HEAD.size, size * count)
             if len(data) < size * count:
                 if not quiet:
@@ -188,9 +191,10 @@ class Aedat3Recording(PiecewiseRecording):
             yield at, kind, size, overflow, data
             at, found = after, following
 
-    def _plausible(self, at: int) -> tuple[int, int, int, int] | None:
+    def _plausible(self, at: int, head: bytes | None = None
+                   ) -> tuple[int, int, int, int] | None:
         """Return kind, bytes per event, overflows and count of a packet at a byte."""
-        head = self._reader.read(at, _HEAD.size)
+        head = self._reader.read(at, _HEAD.size) if head is None else head
         if len(head) < _HEAD.size:
             return None
         kind, source, size, offset, overflow, capacity, number, valid = (
@@ -203,30 +207,20 @@ class Aedat3Recording(PiecewiseRecording):
             return None
         return kind, size, overflow, number
 
-    def _resync(self, at: int, until: int) -> int | None:
-        """Return where the next packet of a known kind begins, before `until`."""
-        # From small blocks to large ones, so that what is read is as far as it is.
-        base, step = at, 256
-        while base < until:
-            block = self._reader.read(base, min(step, until - base) + _HEAD.size)
-            self._budget.search(at, len(block))
-            for found in _BEGIN.finditer(block):
-                start = base + found.start()
-                if start < until and self._plausible(start) is not None:
-                    return start
-            base, step = base + step, min(16 * step, 1 << 20)
-        return None
+    def _begins(self, base: int, block: bytes) -> Iterator[int]:
+        """Yield where packets of a known kind begin in the bytes from base on."""
+        for found in _BEGIN.finditer(block):
+            at = found.start()
+            if self._plausible(base + at, block[at:at + _HEAD.size]) is not None:
+                yield at
 
-    def _hidden(self, at: int, until: int) -> int | None:
+    def _hidden(self, search: Search, at: int, until: int) -> int | None:
         """Return where packets begin inside a packet that lost bytes.
 
         They are accepted if they end where it seems to end, or if there are two in a
         row (bytes were then added after them).
         """
-        for _ in range(_BEGINNINGS):
-            inside = self._resync(at, until)
-            if inside is None:
-                return None
+        for inside in islice(search.places(at, until), _BEGINNINGS):
             after, count = inside, 0
             while after < until and count < 2 and (
                     found := self._plausible(after)) is not None:
@@ -234,7 +228,6 @@ class Aedat3Recording(PiecewiseRecording):
                 count += 1
             if after == until or count > 1:
                 return inside
-            at = inside + 1
         return None
 
     # Reading -------------------------------------------------------------------

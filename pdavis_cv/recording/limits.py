@@ -42,7 +42,7 @@ class Limits:
 
     memory: int = 512 << 20
     ratio: float = 100
-    work_per_byte: float = 4
+    work_per_byte: float = 2
     time_span: int = 2 * FAR
 
     def __post_init__(self) -> None:
@@ -67,7 +67,7 @@ class Budget:
     def __init__(self, path: Any, limits: Limits | None = None) -> None:
         self._path, self.limits = path, limits or Limits()
         self._half = self.limits.memory // 2    # what is read is copied once
-        self._searched, self._start, self._first = 0, 0, 1 << 62
+        self._first = 1 << 62
 
     @functools.cached_property
     def _size(self) -> int:
@@ -114,10 +114,14 @@ class Budget:
             raise self.over("ratio", f"{what} of {packed} bytes unpacks to {size}")
 
     def unpacked(self, unpack: Any, data: bytes, what: str) -> bytes:
-        """Return what a decompressor's ``decompress(data, most)`` gives."""
-        found: bytes = unpack(data, self.most(len(data)) + 1)
-        self.piece(len(found), what, len(data))
-        return found
+        """Return what a decompressor like those of `bz2` makes of data."""
+        most = self.most(len(data)) + 1
+        parts = [unpack.decompress(data, min(most, _SLACK))]
+        while (size := sum(map(len, parts))) < most and not (
+                unpack.eof or unpack.needs_input):
+            parts.append(unpack.decompress(b"", min(most - size, _SLACK)))
+        self.piece(size, what, len(data))
+        return b"".join(parts)
 
     def total(self, size: int) -> None:
         """Raise RecordingError if the file gives more bytes of samples than it may."""
@@ -131,21 +135,10 @@ class Budget:
             raise self.over("memory", f"{size} bytes of samples that wait for earlier "
                             "ones of other streams")
 
-    def search(self, start: int, size: int) -> None:
-        """Take work: bytes in which a packet is searched.
-
-        Parameters
-        ----------
-        start : int
-            Byte at which the search began; one before the last begins a new reading.
-        size : int
-        """
-        self._searched = size + (self._searched if start >= self._start else 0)
-        self._start = start
-        most = self.limits.work_per_byte * self._size + _LEAST_WORK
-        if self._searched > most:
-            raise self.over("work_per_byte", f"{self._searched} bytes searched for "
-                            "packets")
+    def searched(self, size: int) -> None:
+        """Raise RecordingError if one reading has searched too many bytes."""
+        if size > self.limits.work_per_byte * self._size + _LEAST_WORK:
+            raise self.over("work_per_byte", f"{size} bytes searched for packets")
 
     def time(self, t_us: int) -> None:
         """Raise RecordingError if a time is too far from the first one."""

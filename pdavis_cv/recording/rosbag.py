@@ -102,7 +102,7 @@ def _bound_decompressors() -> None:
         def unpack(data: bytes, *size: int) -> bytes:
             budget = _BUDGET.get()
             return plain(data, *size) if budget is None else budget.unpacked(
-                kind().decompress, data, "a chunk or message")
+                kind(), data, "a chunk or message")
         return unpack
 
     zstd = of_ros2.zstd

@@ -28,6 +28,8 @@ __all__ = ["LOOK_AHEAD", "NEVER", "SEGMENT_US", "Clock", "Marks", "SegmentError"
 
 NEVER = -FAR
 """A time before any that a file may hold, us."""
+EARLIEST = -(1 << 55)
+"""Times before this are damage, us, as in the kernel."""
 SEGMENT_US = 1_000_000
 WRAP_US = 1 << 32
 """Jump backward of a 32-bit microsecond counter that overflows, us."""
@@ -188,7 +190,7 @@ class Clock:
         self.state[OUTSIDE:BEFORE] = 0, 0, -1
         times, last, n = samples["t"].tolist(), self.last, len(samples)
         if n and not self.state[OFFSET] and (   # as usual
-                last <= times[0] and times[-1] < last + SEGMENT_US
+                max(last, EARLIEST) <= times[0] and times[-1] < last + SEGMENT_US
                 and times == sorted(times)):
             accepted = n if final else max(n - self._reach, self._accepted)
             done = accepted if final else max(accepted - self._most_held, 0)

@@ -10,6 +10,7 @@ import heapq
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 from xml.etree import ElementTree
 
@@ -27,6 +28,7 @@ from pdavis_cv.recording.aedat4.flatbuffer import (
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.files import ProblemLog, clock_text
 from pdavis_cv.recording.limits import Budget
+from pdavis_cv.recording.search import Search
 
 __all__ = ["MAGIC", "MAX_HEADER", "MAX_PAYLOAD", "Aedat4File", "Entry", "Stream",
            "decompressed", "parsed_header"]
@@ -105,6 +107,9 @@ class Aedat4File:
                  budget: Budget | None = None) -> None:
         self.reader, self.log = reader, log
         self.budget = budget or Budget(reader.path)
+        # Of packets that are not where the index says.
+        self._shift = self._sought = 0
+        self._nowhere: set[int] = set()
         self._read_header()
         self.indexed = False
         self.indexed = self._read_index()
@@ -200,12 +205,13 @@ class Aedat4File:
         # Damage that moved packets has also moved the index.
         if at <= self.table_position < limit and self._is_index(self.table_position):
             limit = self.table_position
+        search = Search(self.reader, self.budget, partial(self._begins, limit))
         entry = self._plausible(at, limit)
         while at < limit:
             if entry is None:
                 if self._is_index(at):
                     return
-                found = self._resync(at + 1, limit, limit)
+                found = next(search.places(at + 1, limit), None)
                 self.log.damage(
                     at, f"byte {at}: no whole packet is here, reading goes on at byte "
                     f"{limit if found is None else found}", offset=at)
@@ -216,7 +222,7 @@ class Aedat4File:
             after = entry.offset + entry.size
             # Data resemble the beginning of a packet by chance once in 10**19 bytes, so
             # if one begins inside another, the other lost bytes or its size is wrong.
-            inside = self._resync(at + 1, after, limit)
+            inside = next(search.places(at + 1, after), None)
             if inside is not None:
                 self.log.damage(
                     at, f"byte {at}: a packet that should end at byte {after} "
@@ -226,9 +232,10 @@ class Aedat4File:
             yield entry
             at, entry = after, following
 
-    def _plausible(self, at: int, limit: int) -> Entry | None:
+    def _plausible(self, at: int, limit: int, head: bytes | None = None
+                   ) -> Entry | None:
         """Return the packet at a byte, if its header and end are plausible."""
-        head = self.reader.read(at, _HEAD)
+        head = self.reader.read(at, _HEAD) if head is None else head
         if len(head) < _PACKET.size:
             return None
         stream, size = _PACKET.unpack_from(head)
@@ -253,25 +260,18 @@ class Aedat4File:
             return _begin(self.reader.read(at, _BLOCK), self.compression)[8:] == b"FTAB"
         return False
 
-    def _resync(self, at: int, until: int, limit: int) -> int | None:
-        """Return where the next plausible packet begins, before the byte `until`."""
+    def _begins(self, limit: int, base: int, block: bytes) -> Iterator[int]:
+        """Yield where plausible packets begin in the bytes from base on."""
         if self.compression == "none":
-            marks = [stream.kind.encode() for stream in self.streams.values()]
+            marks = {stream.kind.encode() for stream in self.streams.values()}
             before = 16  # stream, size, prefix, root, identifier
         else:
             lz4_used = self.compression.startswith("LZ4")
-            marks, before = [_LZ4_MAGIC if lz4_used else _ZSTD_MAGIC], 8
-        # From small blocks to large ones, so that what is read is as far as it is.
-        base, step, overlap = at, 64, 32
-        while base < until:
-            block = self.reader.read(base, min(step, until - base) + overlap)
-            self.budget.search(at, len(block))
-            for i in heapq.merge(*(_find_all(block, mark) for mark in set(marks))):
-                start = base + i - before
-                if at <= start < until and self._plausible(start, limit) is not None:
-                    return start
-            base, step = base + step, min(16 * step, 1 << 20)
-        return None
+            marks, before = {_LZ4_MAGIC if lz4_used else _ZSTD_MAGIC}, 8
+        for i in heapq.merge(*(_find_all(block, mark) for mark in marks)):
+            at = i - before
+            if at >= 0 and self._plausible(base + at, limit, block[at:at + _HEAD]):
+                yield at
 
     def table(self, entry: Entry) -> tuple[bytes, Table]:
         """Return the FlatBuffer of a packet and its root table.
@@ -299,11 +299,7 @@ class Aedat4File:
         packets in between.
         """
         wanted = entry.offset - 8
-        begin = max(self.data_start, wanted - _NEAR)
-        block = self.reader.read(begin, wanted - begin + _NEAR + entry.size)
-        found = [begin + i for i in _find_all(
-            block, _PACKET.pack(entry.stream, entry.size))]
-        for at in sorted(found, key=lambda at: abs(at - wanted))[:_TRIES]:
+        for at in self._places(entry, wanted):
             try:
                 data, table = self._decoded(
                     entry.stream, self.reader.read(at, entry.size + 8))
@@ -314,8 +310,27 @@ class Aedat4File:
                 self.log.damage(
                     wanted, f"byte {wanted}: the packet that the index places here is "
                     f"at byte {at}", offset=wanted)
+                self._shift = at - wanted
                 return data, table
+        self._nowhere.add(wanted)
         raise PayloadError("its header is not what the index says")
+
+    def _places(self, entry: Entry, wanted: int) -> Iterator[int]:
+        """Yield where a packet may be: as far away as the last, or where it is found.
+
+        Once too much has been searched, what has not moved alike is given up.
+        """
+        header = _PACKET.pack(entry.stream, entry.size)
+        if self.reader.read(wanted + self._shift, _PACKET.size) == header:
+            yield wanted + self._shift
+        if wanted in self._nowhere or self._sought > (
+                self.budget.limits.work_per_byte * self.reader.size):
+            return
+        begin = max(self.data_start, wanted - _NEAR)
+        block = self.reader.read(begin, wanted - begin + _NEAR + entry.size)
+        self._sought += len(block)
+        found = [begin + i for i in _find_all(block, header)]
+        yield from sorted(found, key=lambda at: abs(at - wanted))[:_TRIES]
 
     def lost(self, entry: Entry, error: Exception) -> None:
         """Log that a packet could not be read."""
