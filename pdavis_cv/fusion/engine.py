@@ -40,7 +40,7 @@ from pdavis_cv.fusion.tuning import Tuning
 from pdavis_cv.fusion.window import checked_roi, window_of
 from pdavis_cv.mosaic import REACH, check_method
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.reconstruct.base import Needs, Reconstructor
+from pdavis_cv.reconstruct.base import Needs, Reconstructor, parameters_of
 from pdavis_cv.reconstruct.lamp import LampTracker
 from pdavis_cv.reconstruct.methods import default_method, factory_of, make_reconstructor
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
@@ -136,7 +136,7 @@ class Fusion(Advises):
         self._tuning: Tuning | None = None
         self.provenance: Facts = MappingProxyType({
             "pdavis_cv": pdavis_cv.__version__, "method": self.method,
-            "parameters": {name: value for name, value in probe.all_parameters.items()
+            "parameters": {name: value for name, value in parameters_of(probe).items()
                            if np.ndim(value) < 2},
             "clock_offset_us": self._clock_us,
             "causal": options.causal, "layout": str(self.layout),
@@ -485,7 +485,7 @@ class Fusion(Advises):
             # Of the whole sensor, so that an image of a region equals the crop.
             self._lamp = LampTracker(
                 self.recording.info.sensor_size, *tuning.photoreceptors)
-        self._update_provenance(self._state.method.all_parameters)
+        self._update_provenance(parameters_of(self._state.method))
 
     def _method_factory(self) -> Callable[[], Reconstructor]:
         """Return a function that makes the method for the window."""
@@ -590,7 +590,7 @@ class Fusion(Advises):
             self._state.retune(t_us, changed)
         if self._lamp is not None and changed:
             self._lamp.retune(*self._online.tuning.photoreceptors)
-        self._update_provenance(self._state.method.all_parameters)
+        self._update_provenance(parameters_of(self._state.method))
 
     def _frame_us(self, method: Reconstructor, t: int) -> int | None:
         arrived = self.options.causal or method.shows_at_readout

@@ -19,7 +19,7 @@ from pdavis_cv.errors import ExposureWarning
 from pdavis_cv.fusion.feed import LONGEST_DELAY_US, together
 from pdavis_cv.fusion.window import Window
 from pdavis_cv.pixel.sample import PixelSample
-from pdavis_cv.reconstruct.base import Reconstructor, Snapshot
+from pdavis_cv.reconstruct.base import Reconstructor, Snapshot, feed_events
 from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
 
@@ -87,7 +87,7 @@ class InOrderState(_MethodState):
             self.sample.add_events(events)
         inside = self.window.events(events)
         if len(inside):
-            self.method.take(inside)
+            feed_events(self.method, inside)
 
     def add_frame(self, frame: ApsFrame, clock_us: int = 0) -> None:
         """Add a corrected frame of the whole sensor.
@@ -161,7 +161,7 @@ class ArrivalState(_MethodState):
         fresh = 0 if self.fed_us is None else bisect_right(events["t"], self.fed_us)
         inside = self.window.events(events[fresh:])
         if len(inside):
-            self.method.take(inside)
+            feed_events(self.method, inside)
         if self._keeps_events:
             self._pending.append(events)
         self._commit(int(events["t"][-1]) - LONGEST_DELAY_US)
@@ -296,7 +296,7 @@ class ReplayState(ArrivalState):
         super()._feed_in_order(events)
         inside = self.window.events(events)
         if len(inside):
-            self._committed.take(inside)
+            feed_events(self._committed, inside)
 
     def _replay(self) -> None:
         """Make the current state from the committed one and the pending events."""
@@ -306,7 +306,7 @@ class ReplayState(ArrivalState):
         for events in self._pending:
             inside = self.window.events(events)
             if len(inside):
-                self.method.take(inside)
+                feed_events(self.method, inside)
 
 
 def make_state(

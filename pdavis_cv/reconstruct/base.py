@@ -25,7 +25,9 @@ __all__ = [
     "Needs",
     "Reconstructor",
     "Snapshot",
+    "feed_events",
     "nbytes",
+    "parameters_of",
 ]
 
 _EXP_NS = 0.2
@@ -198,17 +200,6 @@ class Reconstructor(ABC):
     def parameters(self) -> Parameters:
         """Constructor parameters that make an equal Reconstructor."""
 
-    @property
-    def all_parameters(self) -> Parameters:
-        """The method's `parameters`, and those of the denoiser as ``denoise``."""
-        return self.parameters if self.denoiser is None else {
-            **self.parameters, "denoise": dict(self.denoiser.parameters)}
-
-    def take(self, events: Events) -> None:
-        """Feed the events that the denoiser keeps (see `add_events`)."""
-        self.add_events(
-            events if self.denoiser is None else self.denoiser.filter(events))
-
     @abstractmethod
     def add_events(self, events: Events) -> None:
         """Feed events (EVENT_DTYPE, time-ordered, not before anything fed earlier).
@@ -313,8 +304,10 @@ class Reconstructor(ABC):
 
     def snapshot(self) -> Snapshot:
         """Return a deep, picklable copy of the state."""
-        return Snapshot(self.method, self.shape, dict(self.all_parameters),
-                        self._whole_state())
+        state = self._state()
+        if self.denoiser is not None:
+            state = {**state, "denoiser": self.denoiser.state()}
+        return Snapshot(self.method, self.shape, parameters_of(self), state)
 
     def assign(self, other: Reconstructor) -> None:
         """Copy the state of an equal Reconstructor.
@@ -338,23 +331,16 @@ class Reconstructor(ABC):
             mine, other = getattr(self, name), getattr(snapshot, name)
             if mine != other:
                 raise ValueError(f"snapshot is of {name} {other!r}, not {mine!r}")
-        mine, other = dict(self.all_parameters), dict(snapshot.parameters)
+        mine, other = parameters_of(self), dict(snapshot.parameters)
         differing = [name for name in mine.keys() | other.keys()
                      if not np.array_equal(np.asarray(mine.get(name)),
                                            np.asarray(other.get(name)))]
         if differing:
             raise ValueError(
                 f"snapshot was made with other parameters: {', '.join(differing)}")
-        self._restore_whole(snapshot.state)
-
-    def _whole_state(self) -> State:
-        return self._state() if self.denoiser is None else {
-            **self._state(), "denoiser": self.denoiser.state()}
-
-    def _restore_whole(self, state: State) -> None:
-        self._restore(state)
+        self._restore(snapshot.state)
         if self.denoiser is not None:
-            self.denoiser.restore(state["denoiser"])
+            self.denoiser.restore(snapshot.state["denoiser"])
 
     @abstractmethod
     def _state(self) -> State:
@@ -363,6 +349,18 @@ class Reconstructor(ABC):
     @abstractmethod
     def _restore(self, state: State) -> None:
         """Return to what `_state` returned, which is copied."""
+
+
+def feed_events(method: Reconstructor, events: Events) -> None:
+    """Feed a method the events that its denoiser keeps."""
+    method.add_events(
+        events if method.denoiser is None else method.denoiser.filter(events))
+
+
+def parameters_of(method: Reconstructor) -> dict[str, Any]:
+    """Return a method's parameters, and those of its denoiser as ``denoise``."""
+    return dict(method.parameters) if method.denoiser is None else {
+        **method.parameters, "denoise": dict(method.denoiser.parameters)}
 
 
 Factory = Callable[..., Reconstructor]
