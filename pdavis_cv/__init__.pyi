@@ -14,6 +14,7 @@ from .adapters.patching import patched_cv2 as patched_cv2
 from .analyser import Analyser as Analyser
 from .aps import cds as cds
 from .calibration.model import Calibration as Calibration
+from .camera_array import AnalyserArray as AnalyserArray
 from .capture.constants import (
     CAP_PDAVIS as CAP_PDAVIS,
     CAP_PDAVIS_AOP as CAP_PDAVIS_AOP,

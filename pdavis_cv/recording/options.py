@@ -105,6 +105,11 @@ class SourceOptions(Options):
         "four planes.", "text",
         "images of an ordinary camera, each at another angle of a polarizer: names "
         "(pol_030.png), degrees as 0,30,60, a text file of them, or found")
+    align_planes: bool = option(
+        False, "bool",
+        "Lay images of four channels, or of several angles, over the first one: they "
+        "come from other cameras, or the camera moved; by shift and turn.", "flag",
+        "lay the images of four channels, or of several angles, over the first one")
     bad_events: str = option(
         "drop", '{"drop", "raise"}',
         "Whether events outside the sensor or before their predecessor are dropped and "
@@ -145,6 +150,7 @@ class SourceOptions(Options):
                 self._put(name, whole_number(name, value, 1, most))
         if self.bits is not None and self.full_scale_dn is not None:
             raise ValueError("give bits or full_scale_dn, not both")
+        self._put("align_planes", bool(self.align_planes))
         if not isinstance(self.analyser_steps, AnalyserSteps | str | None):
             raise TypeError("analyser_steps must be AnalyserSteps or a str, got "
                             f"{type(self.analyser_steps).__name__}")
@@ -201,6 +207,7 @@ class SourceKeywords(TypedDict, total=False):
     full_scale_dn: int | None
     columns: str | None
     analyser_steps: AnalyserSteps | str | None
+    align_planes: bool
     bad_events: str
     limits: Limits | None
     isolated: bool

@@ -105,7 +105,7 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
         holds=frozenset(("frames",)), needs_layout=True, extra="frames",
         sniff=f"{_ROOM}.images.stills:is_image_array",
         read_options=("source_fps", "exposure_us", "bits", "full_scale_dn",
-                      "analyser_steps"),
+                      "analyser_steps", "align_planes"),
         reader=f"{_ROOM}.images.reader:ImageRecording"),
     Format(
         name="numpy", title="NumPy arrays of events", holds=_EVENTS,
@@ -192,7 +192,8 @@ def read_with(one: Format, source: Any, options: SourceOptions) -> Recording:
     TypeError
         If the format has no such option.
     """
-    given = {name for name in options.facts() if getattr(options, name) is not None}
+    given = {name for name in options.facts()
+             if getattr(options, name) not in (None, False)}
     for name in sorted(given.union(options.parameters) - _ALWAYS - set(
             one.read_options)):
         known = sorted(_ALWAYS.union(one.read_options))

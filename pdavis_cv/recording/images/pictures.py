@@ -3,19 +3,20 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv.camera_array import AnalyserArray
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.images.checks import measured_full_scale
 from pdavis_cv.steps import AnalyserSteps
 
-__all__ = ["FourPictures", "Images", "PictureFacts", "Pictures", "Several",
-           "SteppedPictures", "one_plane", "readable"]
+__all__ = ["AlignedPictures", "FourPictures", "Images", "PictureFacts", "Pictures",
+           "Several", "StackedPictures", "SteppedPictures", "one_plane", "readable"]
 
 
 Images = Generator[tuple[float | None, NDArray[Any]], None, None]
@@ -139,32 +140,78 @@ class FourPictures(Pictures):
             yield four[0][0], np.stack(planes)
 
 
-class SteppedPictures(Pictures):
-    """Pictures of a scene at rest behind an analyser, as one with four planes.
+class AlignedPictures(Pictures):
+    """Planes of each time, laid over the first one as those of the first time are.
 
     Parameters
     ----------
     pictures : Pictures
+        Of several planes.
+
+    Attributes
+    ----------
+    array : AnalyserArray
+    """
+
+    def __init__(self, pictures: Pictures) -> None:
+        self._pictures, self.facts = pictures, pictures.facts
+        with closing(pictures.images()) as images:
+            first = next(images)[1]
+        if first.ndim != 3:
+            raise RecordingError(
+                "align_planes needs four planes, as of files that differ only in "
+                "0, 45, 90, 135 in their names, or analyser_steps")
+        self.array = AnalyserArray.found(first)
+
+    def images(self, first: int = 0) -> Images:
+        """Iterate over the images; see `Pictures`."""
+        for t, planes in self._pictures.images(first):
+            yield t, self.array.aligned(planes)
+
+
+class StackedPictures(Pictures):
+    """All pictures as the planes of one time.
+
+    Parameters
+    ----------
+    pictures : Pictures
+    """
+
+    def __init__(self, pictures: Pictures) -> None:
+        self._pictures = pictures
+        self.facts = replace(pictures.facts, count=1, elapsed_us=None, interval_us=None)
+
+    def images(self, first: int = 0) -> Images:
+        """Iterate over the one stack; see `Pictures`."""
+        if not first:
+            yield None, np.stack([image for _, image in self._pictures.images()])
+
+
+class SteppedPictures(Pictures):
+    """Planes, one for each angle of an analyser, as four planes.
+
+    Parameters
+    ----------
+    pictures : Pictures
+        Of one time.
     steps : AnalyserSteps, optional
         The angle of each; default: they are found.
     """
 
     def __init__(self, pictures: Pictures, steps: AnalyserSteps | None) -> None:
         self._pictures, self._steps = pictures, steps
-        self.facts = replace(pictures.facts, count=1, elapsed_us=None, interval_us=None,
-                             kind=f"stepped analyser, {pictures.facts.kind}")
+        self.facts = replace(
+            pictures.facts, kind=f"stepped analyser, {pictures.facts.kind}")
 
     def images(self, first: int = 0) -> Images:
         """Iterate over the image; see `Pictures`."""
-        if first:
-            return
-        stack = np.stack([image for _, image in self._pictures.images()])
-        steps = AnalyserSteps.found(stack) if self._steps is None else self._steps
-        full = self.facts.full_scale_dn or measured_full_scale(list(stack)) or (
-            255 if stack.dtype == np.uint8 else None)
-        image = steps.polarization(stack, None if full is None else stack < full)
-        # Where too few are not clipped, neither is known.
-        yield None, np.where(image.valid, image.quad, np.float32(full or 0))
+        for t, stack in self._pictures.images(first):
+            steps = AnalyserSteps.found(stack) if self._steps is None else self._steps
+            full = self.facts.full_scale_dn or measured_full_scale(list(stack)) or (
+                255 if stack.dtype == np.uint8 else None)
+            image = steps.polarization(stack, None if full is None else stack < full)
+            # Where too few are not clipped, nothing is known.
+            yield t, np.where(image.valid, image.quad, np.float32(full or 0))
 
 
 @contextmanager

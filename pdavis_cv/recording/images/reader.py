@@ -23,9 +23,11 @@ from pdavis_cv.recording.images.checks import (
 )
 from pdavis_cv.recording.images.names import angles_of, by_angle, names_of
 from pdavis_cv.recording.images.pictures import (
+    AlignedPictures,
     FourPictures,
     Pictures,
     Several,
+    StackedPictures,
     SteppedPictures,
 )
 from pdavis_cv.recording.images.stills import ArrayPictures, StillPicture
@@ -88,7 +90,7 @@ class ImageRecording(FileRecording):
         source = os.fspath(self._path)
         names = self._names or names_of(source)
         self._members = members_of(names)
-        self._pictures = pictures = self._opened(names, options.analyser_steps)
+        self._pictures = pictures = self._opened(names, options)
         first = self._sample(0)
         if first is None:
             raise RecordingError(f"{source}: holds no image")
@@ -121,9 +123,7 @@ class ImageRecording(FileRecording):
             demosaic="superpixel" if self._four else None,
             header={"fps": float(self._fps), "dtype": str(first.dtype)})
 
-    def _opened(
-        self, names: Sequence[str], stated: AnalyserSteps | str | None
-    ) -> Pictures:
+    def _opened(self, names: Sequence[str], options: SourceOptions) -> Pictures:
         """Return the pictures of files, four of which may be the channels."""
         def one(name: str) -> Pictures:
             suffix = Path(name).suffix.lower()
@@ -137,14 +137,22 @@ class ImageRecording(FileRecording):
         def several(files: Sequence[str]) -> Pictures:
             return one(files[0]) if len(files) == 1 else Several(files, one)
 
+        def aligned(planes: Pictures) -> Pictures:
+            if not options.align_planes:
+                return planes
+            found = AlignedPictures(planes)
+            self._log.add("aligned", 0, f"aligned with the first: {found.array}")
+            return found
+
+        stated = options.analyser_steps
         if stated is not None:
             if isinstance(stated, str):
                 stated = None if stated == "found" else AnalyserSteps(
                     tuple(np.deg2rad(angles_of(stated, names))))
-            return SteppedPictures(several(names), stated)
+            return SteppedPictures(aligned(StackedPictures(several(names))), stated)
         four = by_angle(names)
-        return several(names) if four is None else FourPictures(
-            [several(files) for files in four])
+        return aligned(several(names) if four is None else FourPictures(
+            [several(files) for files in four]))
 
     def _with_colours(
         self, first: NDArray[Any], layout: Layout | None
