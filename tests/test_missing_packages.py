@@ -1,5 +1,4 @@
 """Every command without each of the packages that need not be there: one line each."""
-import importlib.util
 import sys
 import zipfile
 
@@ -104,11 +103,23 @@ def files(tmp_path_factory):
     return {name: str(path) for name, path in names.items()}
 
 
-def without(monkeypatch, package):
-    """Let a package that is there, and what is in it, fail to import."""
-    for name in [package, *sys.modules] if importlib.util.find_spec(package) else []:
-        if name == package or name.startswith(package + "."):
-            monkeypatch.setitem(sys.modules, name, None)
+@pytest.fixture
+def without(monkeypatch, tmp_path_factory):
+    """Return a function that lets a package, and what is in it, fail to import.
+
+    A process that is started finds a module that fails in the package's place.
+    """
+    folder = tmp_path_factory.mktemp("missing")
+    monkeypatch.syspath_prepend(folder)
+
+    def hide(package):
+        (folder / f"{package}.py").write_text(
+            f"raise ModuleNotFoundError('no {package}', name='{package}')")
+        for name in [package, *sys.modules]:
+            if name == package or name.startswith(package + "."):
+                monkeypatch.setitem(sys.modules, name, None)
+
+    return hide
 
 
 def run(name, files, tmp_path):
@@ -118,8 +129,8 @@ def run(name, files, tmp_path):
 
 @pytest.mark.parametrize(("name", "package"), LIGHT)
 def test_a_package_that_is_needed_is_one_line_with_its_command(
-        name, package, files, tmp_path, capsys, monkeypatch):
-    without(monkeypatch, package)
+        name, package, files, tmp_path, capsys, without):
+    without(package)
     assert run(name, files, tmp_path) == 2
     text = capsys.readouterr().err
     assert f"pip install {PACKAGES[package]}" in text
@@ -130,11 +141,11 @@ def test_a_package_that_is_needed_is_one_line_with_its_command(
 @pytest.mark.gate
 @pytest.mark.parametrize("name", [name for name in COMMANDS if name not in SERVE])
 def test_packages_that_are_not_needed_are_not_missed(
-        name, files, tmp_path, capsys, monkeypatch):
+        name, files, tmp_path, capsys, without):
     # A network runs in either of two packages.
     needed = COMMANDS[name][1] + ("onnxruntime",) * (name == "export by a network")
     for package in set(PACKAGES) - set(needed):
-        without(monkeypatch, package)
+        without(package)
     code = run(name, files, tmp_path)
     said = capsys.readouterr().err
     assert "mistake of pdavis" not in said
@@ -143,8 +154,8 @@ def test_packages_that_are_not_needed_are_not_missed(
 
 
 def test_without_matplotlib_numbers_are_written_and_the_picture_is_told(
-        files, tmp_path, capsys, monkeypatch):
-    without(monkeypatch, "matplotlib")
+        files, tmp_path, capsys, without):
+    without("matplotlib")
     assert run("calibrate dark", files, tmp_path) == 0
     told = capsys.readouterr()
     assert "no picture: matplotlib is missing (pip install matplotlib)\n" in told.out
@@ -152,8 +163,8 @@ def test_without_matplotlib_numbers_are_written_and_the_picture_is_told(
     assert list(tmp_path.iterdir())
 
 
-def test_a_network_needs_one_of_two_packages(files, tmp_path, capsys, monkeypatch):
-    without(monkeypatch, "onnxruntime")
-    without(monkeypatch, "cv2")
+def test_a_network_needs_one_of_two_packages(files, tmp_path, capsys, without):
+    without("onnxruntime")
+    without("cv2")
     assert run("export by a network", files, tmp_path) == 2
     assert "pip install onnxruntime, or" in capsys.readouterr().err
