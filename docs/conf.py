@@ -40,8 +40,8 @@ html_extra_path = ["fan.webm", "tendon.webm"]
 
 PARTS = {
     "Tutorials": ["start/opencv", "start/notebook", "start/microscopy",
-                  "start/robotics", "start/turning", "start/sony", "start/jaer-dv",
-                  "start/calibration"],
+                  "start/robotics", "start/any-camera", "start/turning",
+                  "start/sony", "start/jaer-dv", "start/calibration"],
     "How to": ["tools", "recipes", "applications", "calibration", "score",
                "demosaicing", "batch", "live", "formats", "promises", "glossary"],
     "Reference": ["reference/options", "reference/opencv", "reference/quantities", *(
