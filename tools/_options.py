@@ -14,13 +14,14 @@ from ._flags import WORDS, add_offered, fusion_options, offered, source_options
 from ._values import number, setting, within
 
 if TYPE_CHECKING:  # `command` must handle an interrupt while NumPy is imported
-    from pdavis_cv import Calibration, Recording, Source
+    from pdavis_cv import Calibration, Recording, Source, TurningAnalyser
     from pdavis_cv.recording.open import AnySource
 
 __all__ = [
     "add_file",
     "add_fuse_options",
     "add_source_options",
+    "analyser_given",
     "calibration_of",
     "fuse_options",
     "fusion_given",
@@ -206,15 +207,22 @@ def fusion_given(args: argparse.Namespace) -> dict[str, Any]:
         elif facts.word in ("ratio", "offset") and value == "none":
             value = None
         options[name] = value
-    if args.analyser_found or (args.analyser_rpm, args.trigger) != (None, None):
-        from pdavis_cv import TurningAnalyser
-        try:
-            options["analyser"] = TurningAnalyser(
-                rpm=args.analyser_rpm, phase=math.radians(args.analyser_phase),
-                triggers=None if args.trigger is None else args.trigger_pulses)
-        except ValueError as error:
-            raise UsageError(str(error)) from None
+    if (analyser := analyser_given(args)) is not None:
+        options["analyser"] = analyser
     return {**options, **dict(args.settings)}
+
+
+def analyser_given(args: argparse.Namespace) -> TurningAnalyser | None:
+    """Return the turning analyser that options of fuse() state, or None."""
+    if not args.analyser_found and (args.analyser_rpm, args.trigger) == (None, None):
+        return None
+    from pdavis_cv import TurningAnalyser
+    try:
+        return TurningAnalyser(
+            rpm=args.analyser_rpm, phase=math.radians(args.analyser_phase),
+            triggers=None if args.trigger is None else args.trigger_pulses)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
 
 
 def option_value(name: str, text: str) -> tuple[str, Any]:

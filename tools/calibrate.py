@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -9,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from pdavis_cv import Calibration, Layout, Recording
+from pdavis_cv import Calibration, Layout, Recording, fuse
+from pdavis_cv.analysis import found_zero
 from pdavis_cv.aps import clip_level
 from pdavis_cv.batch.works import measured_parts
 from pdavis_cv.calibration.check import check_recording
@@ -31,7 +33,14 @@ from ._common import (
     start_of,
     tell,
 )
-from ._options import add_source_options, opened, together
+from ._options import (
+    add_fuse_options,
+    add_source_options,
+    analyser_given,
+    fuse_options,
+    opened,
+    together,
+)
 from ._values import layout_option, number, numbers, positive, roi_option, within
 
 __all__ = ["main"]
@@ -45,6 +54,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     if args.part == "check":
         return _check(args)
+    if args.part == "zero":
+        return _zero(args)
     parts = _ALL if args.part == "all" else (args.part,)
     path = Path(args.out)
     checked_out(path)
@@ -290,6 +301,20 @@ def _check(args: argparse.Namespace) -> int:
     return 0 if all(finding.ok is not False for finding in findings) else 1
 
 
+def _zero(args: argparse.Namespace) -> int:
+    with opened(args, together(args.files)) as recording:
+        zero, sigma = found_zero(
+            fuse(recording, **fuse_options(args, recording)), math.radians(args.known))
+    degrees, error = math.degrees(zero), math.degrees(sigma)
+    lines = [f"zero: add {degrees:.3f} +- {error:.3f} degrees to the angle"]
+    phase = None
+    if analyser_given(args) is not None:
+        phase = (args.analyser_phase + degrees) % 180
+        lines.append(f"--analyser-phase {phase:.3f}")
+    tell(args, lines, zero_deg=degrees, sigma_deg=error, analyser_phase_deg=phase)
+    return 0
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         "calibrate", __doc__ or "",
@@ -306,6 +331,8 @@ def _parser() -> argparse.ArgumentParser:
                  "turned in steps",
         "thresholds": "contrast thresholds and bandwidth, from a slowly turning "
                       "polarizer",
+        "zero": "zero of the angle, from a polarizer of known direction that fills the "
+                "image or --roi; printed, for --analyser-phase",
         "all": "every part that a set of recordings allows",
         "check": "whether layout and orientation are plausible (exit code 1: no)"}
     for part, text in texts.items():
@@ -330,6 +357,7 @@ _EXAMPLES = {
     "sweep": "pdavis calibrate sweep steps.aedat4 -o camera.npz --step-deg 5 "
              "--hold-s 2",
     "thresholds": "pdavis calibrate thresholds slow.aedat4 -o camera.npz",
+    "zero": "pdavis calibrate zero film.aedat4 --trigger 0 --known-deg 90",
     "all": "pdavis calibrate all --dark covered.aedat4 --sweep steps.aedat4 "
            "-o camera.npz",
     "check": "pdavis calibrate check recording.aedat4",
@@ -345,6 +373,11 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
     else:
         parser.add_argument("files", nargs="+", metavar="FILE", help="a recording")
     add_json_option(parser)
+    if part == "zero":
+        parser.add_argument("--known-deg", type=number, required=True, dest="known",
+                            metavar="DEG", help="direction of its light, as AoP")
+        add_fuse_options(parser)
+        return
     add_source_options(parser)
     parser.add_argument("--roi", type=roi_option, metavar="X,Y,W,H",
                         help="lit part of the sensor, in pixels")

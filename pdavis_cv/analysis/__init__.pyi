@@ -59,3 +59,4 @@ from .traces import (
     event_counts as event_counts,
     region_statistics as region_statistics,
 )
+from .zero import found_zero as found_zero
