@@ -240,6 +240,33 @@ def test_a_file_is_read_with_its_colours_stated_or_found(shot):
         fuse(stated, layout="sony-bggr")
 
 
+@pytest.mark.parametrize("name", ["a.aedat4", "a.h5", "a.mcap"])
+def test_copies_keep_the_colours(shot, tmp_path, name):
+    copy = str(tmp_path / name)
+    assert main(["convert", str(shot), copy, "--layout", "sony-grbg"]) == 0
+    with pdavis_cv.open_recording(copy) as recording:
+        assert recording.info.layout == Layout.of("sony-grbg")
+
+
+def test_a_calibration_keeps_the_colours(tmp_path):
+    pdavis_cv.Calibration(sensor_size=(8, 8), layout=COLOUR).save(tmp_path / "c.npz")
+    assert pdavis_cv.Calibration.load(tmp_path / "c.npz").layout == COLOUR
+
+
+def test_a_calibrated_analyser_is_for_monochrome_mosaics(shot):
+    known = pdavis_cv.Calibration(
+        sensor_size=(64, 80), layout=Layout.SONY,
+        analyser=np.full((64, 80, 3), 0.5, np.float32))
+    with pdavis_cv.open_recording(shot, layout="sony-rggb") as recording, pytest.raises(
+            pdavis_cv.CalibrationError, match="is for monochrome mosaics"):
+        fuse(recording, calibration=known)
+
+
+def test_info_tells_the_colours_to_programs(shot, capsys):
+    assert main(["info", str(shot), "--layout", "sony-rggb", "--json"]) == 0
+    assert "90,45,135,0-rggb" in capsys.readouterr().out
+
+
 def test_export_draws_s0_in_colour_and_says_the_white_balance(shot, tmp_path, capsys):
     def exported(*flags):
         out = tmp_path / "out.png"

@@ -182,7 +182,7 @@ def _count(count: int | None, rate: float | None) -> str:
 def _plain(value: Any) -> Any:
     """Return a value that JSON can represent, for `json.dump`."""
     if isinstance(value, Layout):
-        return value.angles_deg
+        return value.stored_angles if value.colours else value.angles_deg
     return value.name if isinstance(value, Sensor) else plain(value)
 
 

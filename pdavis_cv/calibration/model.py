@@ -248,6 +248,7 @@ class Calibration:
             "format_version": FORMAT_VERSION, "sensor_size": self.sensor_size,
             "chip": self.chip, "serial": self.serial, "notes": dict(self.notes),
             "layout": None if self.layout is None else self.layout.angles_deg,
+            "colours": None if self.layout is None else self.layout.colours,
             **{name: getattr(self, name) for name in _NUMBERS}}
         planes = {name: getattr(self, name) for name in _PLANES
                   if getattr(self, name) is not None}
@@ -290,12 +291,13 @@ class Calibration:
                 f"{path}: not a calibration file, or damaged: {error}") from None
         try:
             cell = head["layout"]
-            for name in ("bandwidth_sigma", "clock_offset_us"):
+            for name in ("bandwidth_sigma", "clock_offset_us", "colours"):
                 head.setdefault(name, None)     # missing in files of earlier versions
             return cls(
                 sensor_size=tuple(head["sensor_size"]), chip=head["chip"],
                 serial=head["serial"], notes=head["notes"],
-                layout=None if cell is None else Layout(tuple(cell[0]), tuple(cell[1])),
+                layout=None if cell is None else Layout(
+                    tuple(cell[0]), tuple(cell[1]), colours=head["colours"]),
                 **{name: head[name] for name in _NUMBERS}, **planes)
         except (KeyError, TypeError, ValueError, AttributeError,
                 OverflowError) as error:

@@ -300,7 +300,9 @@ class Hdf5Recording(PiecewiseRecording):
                 f"{size.value}")
         known = attributes.get("layout")
         layout = None if known is None else Layout.stored(
-            ",".join(str(int(angle)) for angle in known), attributes.get("sensor"))
+            ",".join(str(int(angle)) for angle in known) + (
+                f"-{colours}" if (colours := attributes.get("colours")) else ""),
+            attributes.get("sensor"))
         camera = attributes.get("camera")
         known = stated(
             options, attributes.get("source_facts"), layout=layout,

@@ -57,6 +57,8 @@ def write_hdf5(path: str | os.PathLike[str], recording: Recording, *,
             file.attrs["camera"] = info.camera
         if info.layout is not None:
             file.attrs["layout"] = (*info.layout.row0, *info.layout.row1)
+            if info.layout.colours is not None:
+                file.attrs["colours"] = info.layout.colours
             if info.layout.owner is not None:
                 file.attrs["sensor"] = info.layout.owner
         filled = _FLAVOURS[flavour](file, info)
