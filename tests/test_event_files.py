@@ -508,6 +508,14 @@ def test_damaged_times_cost_their_events_only(tmp_path, name, by_us):
         found[["t", "x", "y", "p"]], np.delete(events, hit)[["t", "x", "y", "p"]])
 
 
+def test_one_time_of_an_array_does_not_decide_its_unit(tmp_path):
+    events = some_events(300)
+    events["t"][0] = 10**18
+    (tmp_path / "x.npy").write_bytes(npy_file(events))
+    with open_recording(tmp_path / "x.npy") as recording:
+        np.testing.assert_array_equal(recording.events(), events[1:])
+
+
 def test_an_array_with_a_pixel_on_no_sensor_is_read(tmp_path):
     events = some_events(200, (200, 300))
     events["x"][40] = 65535

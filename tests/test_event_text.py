@@ -153,6 +153,13 @@ def test_the_unit_of_time_is_that_of_the_column_not_of_one_line(tmp_path):
         found["t"], [1_000_000, *range(1_000_010, 1_005_000, 10)])
     assert recording.info.header["time_unit"] == "s"
     assert recording.info.format == "text, times in s"
+    # One damaged time decides nothing.
+    for wrong in (f"{10**18}", "2.5"):
+        (tmp_path / "x.csv").write_text("".join(
+            f"{wrong if k == 9 else 100 * k} 3 4 1\n" for k in range(50)))
+        found, recording = read(tmp_path / "x.csv")
+        assert recording.info.header["time_unit"] == "us"
+        assert len(found) == 49
     # Its first 64 kB are whole seconds.
     many = "1 3 4 1\n" * 20_000 + "".join(lines)
     (tmp_path / "x.csv").write_text(many)

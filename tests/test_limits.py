@@ -86,6 +86,21 @@ def of_png(path, side=20_000):
             bytes(side * (side + 1)), 9)) + chunk(b"IEND", b""))
 
 
+def of_chunk(path):
+    of_png(path, 8)
+    data = path.read_bytes()
+    path.write_bytes(data[:33] + b"\xff" * 4 + data[37:])
+
+
+def of_strip(path):
+    cv2 = pytest.importorskip("cv2")
+    assert cv2.imwrite(str(path), np.eye(64, dtype=np.uint8))
+    data = path.read_bytes()
+    at, = struct.unpack_from("<I", data, 4)
+    at = data.index(struct.pack("<H", 279), at) + 8     # StripByteCounts
+    path.write_bytes(data[:at] + b"\xff" * 4 + data[at + 4:])
+
+
 def of_header(path):
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open(
             "t.npy", "w", force_zip64=True) as file:
@@ -145,6 +160,8 @@ def of_hdf5(path):
 
 BOMBS = {"zstd.aedat4": (of_zstd, "ratio"), "lz4.aedat4": (of_small_packets, "memory"),
          "imu.aedat4": (of_imu, "memory"), "bomb.png": (of_png, "memory"),
+         "chunk.png": (of_chunk, "a chunk of 4294967295 bytes in a file of"),
+         "strip.tiff": (of_strip, "memory"),
          "header.npz": (of_header, "a header of 4294967295 bytes"),
          "columns.npz": (of_columns, "ratio"), "bz2.bag": (of_bag, "ratio"),
          "lz4.bag": (lambda path: of_bag(path, b"lz4"), "memory"),
@@ -155,7 +172,7 @@ import pdavis_cv
 warnings.simplefilter("ignore")
 try:
     with pdavis_cv.open_recording(sys.argv[1], **({"layout": "sony"} if sys.argv[
-            1].endswith("png") else {})) as recording:
+            1].endswith(("png", "tiff")) else {})) as recording:
         for _ in recording.packets():
             pass
         recording.events()

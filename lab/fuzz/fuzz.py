@@ -24,6 +24,7 @@ import numpy as np
 sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[2] / "tests")]
 
 import corpus  # noqa: E402
+import lies  # noqa: E402
 from mutators import mutant  # noqa: E402
 from targets import TARGETS, fuzz_one, part_mutant, whole_parts  # noqa: E402
 
@@ -44,12 +45,23 @@ class LostError(Exception):
     """Raised when events of packets that were not touched are missing."""
 
 
+LIES = {f"lies {name}": name for name in lies.FORMATS}
+"""Valid files with one lie, by name."""
+
+
+def _numbers(name, seed, number):
+    names = LIES if name in LIES else TARGETS
+    return np.random.default_rng([seed, sorted(names).index(name), number])
+
+
 def made(name, seed, number):
     """Return the mutant of this number, the events that it must still give or None.
 
     Last, how many of those may be missing.
     """
-    rng = np.random.default_rng([seed, sorted(TARGETS).index(name), number])
+    rng = _numbers(name, seed, number)
+    if name in LIES:
+        return lies.made(LIES[name], number, rng)
     if TARGETS[name].divided and number % PACKETS == 0:
         return part_mutant(name, number // PACKETS, rng)
     files = corpora(name)
@@ -62,12 +74,16 @@ _CORPORA = {}
 def corpora(name):
     """Return the whole files of a parser."""
     if name not in _CORPORA:
-        _CORPORA[name] = TARGETS[name].whole(corpus.small)
+        _CORPORA[name] = lies.whole(LIES[name]) if name in LIES else (
+            TARGETS[name].whole(corpus.small))
     return _CORPORA[name]
 
 
 def check(name, seed, number, folder):
     """Make a mutant and read it; raise if that breaks a promise."""
+    if name in LIES:
+        lies.check(LIES[name], number, _numbers(name, seed, number), folder)
+        return
     data, wanted, spare = made(name, seed, number)
     found = fuzz_one(name, data, folder)
     if wanted is not None:
@@ -168,8 +184,9 @@ def main(argv=None):
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--seed", type=int, default=None)
     parser.add_argument("--first", type=int, default=0, help="number to begin with")
-    parser.add_argument("--target", choices=TARGETS, default=None)
-    parser.add_argument("--without", choices=TARGETS, nargs="+", default=())
+    targets = [*TARGETS, *LIES]
+    parser.add_argument("--target", choices=targets, default=None)
+    parser.add_argument("--without", choices=targets, nargs="+", default=())
     parser.add_argument("--keep", type=Path, default=Path("."),
                         help="folder for files that broke something")
     parser.add_argument("--most-mb", type=float, default=MOST_MB,
@@ -177,13 +194,13 @@ def main(argv=None):
     args = parser.parse_args(argv)
     seed = int.from_bytes(os.urandom(4)) if args.seed is None else args.seed
     # Without h5py, rosbags or roifile there is nothing to damage.
-    names = [name for name in ([args.target] if args.target else TARGETS)
+    names = [name for name in ([args.target] if args.target else targets)
              if name not in args.without and corpora(name)]
     for name in names:      # load what reading takes, once
         with tempfile.TemporaryDirectory() as folder:
-            if name != "http":      # whose threads would not survive a fork
+            if name not in ("http", *LIES):     # threads do not survive a fork
                 fuzz_one(name, corpora(name)[0], Path(folder))
-            if TARGETS[name].divided:
+            if name in TARGETS and TARGETS[name].divided:
                 whole_parts(name)
     end = time.monotonic() + args.seconds
     turn_s = min(TURN_S, args.seconds / len(names))

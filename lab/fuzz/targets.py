@@ -163,7 +163,8 @@ def _viewer(pid):
     server = serve(corpus.small((12, 16), 1), port=0, layout=pdavis_cv.Layout.PDAVIS,
                    method="frames")
     door = socket.create_server(("127.0.0.1", 0))
-    return SimpleNamespace(site=server.site, owner=server), door
+    return SimpleNamespace(site=server.site, owner=server,
+                           note=lambda *_: None), door
 
 
 def read_http(data, folder):
@@ -315,4 +316,4 @@ def part_mutant(name, number, rng):
     spoilt = {i + k for i in hit for k in range(1 + TARGETS[name].spread)}
     return data, np.concatenate([np.zeros(0, np.int64), *(
         places for i, (*_, places) in enumerate(parts) if i not in spoilt)]), (
-            len(hit))
+            len(hit) * (1 + TARGETS[name].spread))

@@ -40,6 +40,15 @@ def test_damaged_files_do_no_harm(name, tmp_path):
         fuzz.check(name, 0, number, tmp_path)
 
 
+@pytest.mark.filterwarnings("ignore::pdavis_cv.PdavisWarning")
+@pytest.mark.parametrize("name", fuzz.LIES)
+def test_a_lie_costs_what_it_may(name, tmp_path):
+    if not fuzz.corpora(name):
+        pytest.skip("needs an extra")
+    for number in range(60):
+        fuzz.check(name, 0, number, tmp_path)
+
+
 @pytest.mark.parametrize(("name", "seed", "number"), [
     ("aedat4", 2611250540, 6268), ("aedat4", 2611250540, 27232),
     ("aedat4", 2611250540, 16636), ("aedat4", 2611251045, 69880),

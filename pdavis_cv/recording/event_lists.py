@@ -23,10 +23,10 @@ from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import SequentialRecording
 from pdavis_cv.recording.text_form import (
     NAMES,
-    NANOSECONDS_FROM,
     UNITS,
     checked_order,
     text_form,
+    unit_of,
     unit_of_times,
 )
 from pdavis_cv.recording.timeline import FILLED, Clock
@@ -210,16 +210,10 @@ class NumpyRecording(_EventList):
                 f"{self._path}: not arrays that can be read: {error}") from None
         self._arrays_of = _events_of(found, str(self._path))
         self._end = len(self._arrays_of[0])
-        self._scale = self._time_unit()
+        self._scale = unit_of(self._arrays_of[0].rows(0, ROWS))
         return self._facts(
             f"{self._kind}, times in {self._scale}", options,
             {"time_unit": self._scale}, self._size)
-
-    def _time_unit(self) -> str:
-        t = self._arrays_of[0].rows(0, ROWS)
-        if t.dtype.kind == "f" and np.any(t[np.isfinite(t)] % 1):
-            return "s"
-        return "ns" if len(t) and t[0] > NANOSECONDS_FROM else "us"
 
     def _farthest(self) -> tuple[int, int]:
         # Coordinates beyond any sensor are damage.

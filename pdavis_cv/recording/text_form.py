@@ -10,11 +10,16 @@ import itertools
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.options import MAX_SIDE
 
-__all__ = ["PNM", "UNITS", "TextForm", "is_text_events", "text_form", "unit_of_times"]
+__all__ = ["PNM", "UNITS", "TextForm", "is_text_events", "text_form", "unit_of",
+           "unit_of_times"]
 
 UNITS = ("us", "s", "ns", "ms")
 """Units of times, in the kernel's order."""
@@ -233,16 +238,27 @@ def _pixel(text: str) -> bool:
     return 0 <= value < MAX_SIDE and value % 1 == 0
 
 
+def unit_of(times: NDArray[Any]) -> str:
+    """Return the unit of times: several decide, as one may be damaged.
+
+    Those with fractions are seconds, whole ones microseconds, or nanoseconds beyond
+    10**17.
+    """
+    times = times[np.isfinite(times)]
+    if np.count_nonzero(times % 1) > min(len(times) / 10, 8):
+        return "s"
+    return "ns" if len(times) and np.median(times) > NANOSECONDS_FROM else "us"
+
+
 def unit_of_times(blocks: Sequence[bytes], order: str) -> str:
     """Return the unit of times, from all of those in parts of a text.
 
-    Times with fractions are seconds, whole ones microseconds, or nanoseconds beyond
-    10**17.  They are not seconds if there were less than one event in `SLOWEST_S`.
+    They are not seconds if there were less than one event in `SLOWEST_S`.
     """
     times = [[_value(row[0]) for row in rows] for rows in rows_of(blocks, order)]
-    every = list(itertools.chain(*times))
-    if not any(t % 1 for t in every):
-        return "ns" if any(t > NANOSECONDS_FROM for t in every) else "us"
+    unit = unit_of(np.array([*itertools.chain(*times)]))
+    if unit != "s":
+        return unit
     slow = [max(block) - min(block) > SLOWEST_S * len(block) for block in times
             if len(block) >= ENOUGH]
     return "us" if slow and all(slow) else "s"

@@ -176,8 +176,15 @@ class Cursor:
 
     def _vector(self, number: int) -> tuple[bytes, int, int]:
         """Return a packet of events, the place of the first, and their number."""
-        data, table = self._table(self._entries[number])
-        return data, *samples.event_vector(table)
+        entry = self._entries[number]
+        data, table = self._table(entry)
+        at, count = samples.event_vector(table)
+        if entry.count not in (None, count):
+            begin = entry.offset - 8
+            self._file.log.damage(
+                (entry.offset, "count"), f"byte {begin}: a packet of {count} "
+                f"events, {entry.count} by the index", offset=begin)
+        return data, at, count
 
     def _refuse(self, entry: Entry, events: NDArray[Any], bounds: tuple[int, int], *,
                 falls: bool) -> None:

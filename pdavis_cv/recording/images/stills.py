@@ -18,6 +18,7 @@ from pdavis_cv.recording.images.pictures import (
     PictureFacts,
     Pictures,
     one_plane,
+    readable,
 )
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.numpy_files import stored_arrays
@@ -62,6 +63,17 @@ def _sides(file: BinaryIO) -> tuple[int, int]:
     return 0, 0
 
 
+def _check_chunks(file: BinaryIO, path: str) -> None:
+    """Raise RecordingError if a chunk of a PNG ends beyond it: cv2 makes room first."""
+    at, size, kind = 8, file.seek(0, os.SEEK_END), b""
+    while file.seek(at) < size and kind != b"IEND":
+        length, kind = int.from_bytes(file.read(4), "big"), file.read(4)
+        if at + 12 + length > size:
+            raise RecordingError(f"{path}: byte {at}: a chunk of {length} bytes in a "
+                                 f"file of {size}")
+        at += 12 + length
+
+
 class StillPicture(Pictures):
     """One image in a file."""
 
@@ -69,7 +81,7 @@ class StillPicture(Pictures):
         self._path, self._budget = path, budget
         with Path(path).open("rb") as file:
             start = file.read(1024)
-        stated = _PGM.match(start)
+        stated, self._png = _PGM.match(start), start.startswith(b"\x89PNG")
         self.facts = PictureFacts(
             kind="image", count=1, lossy="JPEG" if start.startswith(_JPEG) else None,
             full_scale_dn=int(stated[3]) if stated else None)
@@ -81,8 +93,11 @@ class StillPicture(Pictures):
         cv2 = opencv()
         with Path(self._path).open("rb") as file:
             width, height = _sides(file)
+            if self._png:
+                _check_chunks(file, self._path)
         self._budget.piece(_PIXEL * width * height, f"{width}x{height} pixels")
-        image = cv2.imread(self._path, cv2.IMREAD_UNCHANGED)
+        with readable(self._path, "picture"):
+            image = cv2.imread(self._path, cv2.IMREAD_UNCHANGED)
         if image is None:
             raise RecordingError(f"{self._path}: the image cannot be decoded")
         yield None, one_plane(image, self._path)

@@ -187,6 +187,7 @@ class TiffPictures(Pictures):
             pages = tiff.series[0].pages
             for page in pages:      # files of a set are closed; tiff closes them again
                 page.parent.filehandle.open()
+                self._budget.piece(sum(page.databytecounts), "a page in the file")
             by_opencv = _lacks_codec(pages[0]) and _by_opencv(self._path, pages)
 
             def plane(n: int) -> NDArray[Any]:
