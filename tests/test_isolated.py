@@ -168,7 +168,7 @@ def test_errors_are_of_their_class(tmp_path):
             open_recording(tmp_path / "x.aedat4", isolated=True, **given)
     with pytest.raises(RecordingError, match="cannot be opened: No such file"):
         open_recording(tmp_path / "none", isolated=True)
-    with pytest.raises(RecordingError, match="has no network"):
+    with pytest.raises(RecordingError, match="without network"):
         open_recording("s3://bucket/x.aedat4", isolated=True)
     recording = open_recording(tmp_path / "x.aedat4", isolated=True)
     recording.close()

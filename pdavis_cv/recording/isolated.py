@@ -70,11 +70,11 @@ class IsolatedRecording(Recording):
         self._problems: tuple[Problem, ...] = ()
         self._lock, self._numbers = threading.Lock(), itertools.count()
         if not sandbox.available():
-            raise RecordingError("isolated=True needs Linux 5.13 or later, on x86-64 "
+            raise RecordingError("isolation needs Linux 5.13 or later, on x86-64 "
                                  "or ARM, with Landlock and seccomp")
         if any(map(is_remote, paths)):
-            raise RecordingError(f"{source}: isolated=True has no network: copy it to "
-                                 "a disk")
+            raise RecordingError(f"{source}: a process without network cannot read it: copy "
+                                 "it to a disk")
         folders = {Path(one).resolve().parent for one in paths}
         files: tuple[Member, ...] = ()
         with contextlib.suppress(RecordingError, OSError):      # said by its process
