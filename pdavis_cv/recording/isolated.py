@@ -73,8 +73,8 @@ class IsolatedRecording(Recording):
             raise RecordingError("isolation needs Linux 5.13 or later, on x86-64 "
                                  "or ARM, with Landlock and seccomp")
         if any(map(is_remote, paths)):
-            raise RecordingError(f"{source}: a process without network cannot read it: copy "
-                                 "it to a disk")
+            raise RecordingError(f"{source}: a process without network cannot read it: "
+                                 "copy it to a disk")
         folders = {Path(one).resolve().parent for one in paths}
         files: tuple[Member, ...] = ()
         with contextlib.suppress(RecordingError, OSError):      # said by its process
