@@ -77,11 +77,17 @@ cdef enum:
     CHUNK = 1024
 
 
-cdef inline void add_image(float* out, const pixel_t* image, float factor,
+cdef inline void add_image(float* i, float* j, float* k, float* l,
+                           const pixel_t* image, float a, float b, float c, float d,
                            Py_ssize_t n) noexcept nogil:
     cdef Py_ssize_t x
+    cdef float value
     for x in range(n):
-        out[x] += factor * <float>image[x]
+        value = <float>image[x]
+        i[x] += a * value
+        j[x] += b * value
+        k[x] += c * value
+        l[x] += d * value
 
 
 cdef inline void add_square(float* rest, const pixel_t* image, const float* a,
@@ -117,8 +123,9 @@ def least_squares(const pixel_t[:, ::1] images not None,
             for x in range(begin, begin + m):
                 out[0, x] = out[1, x] = out[2, x] = out[3, x] = rest[x] = zero
             for j in range(n):
-                for x in range(4):
-                    add_image(&out[x, begin], &images[j, begin], solution[x, j], m)
+                add_image(&out[0, begin], &out[1, begin], &out[2, begin],
+                          &out[3, begin], &images[j, begin], solution[0, j],
+                          solution[1, j], solution[2, j], solution[3, j], m)
             for j in range(n):
                 add_square(&rest[begin], &images[j, begin], &response[j, 0],
                            &out[0, begin], p, m)

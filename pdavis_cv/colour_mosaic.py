@@ -19,10 +19,10 @@ COLOURS = ("red", "green", "blue")
 COLOUR_METHODS = ("bilinear", "guided")
 """Methods of demosaicing for a layout with colours."""
 
-COLOUR_REACH = {"bilinear": 2, "guided": 20}
+COLOUR_REACH = {"bilinear": 2, "guided": 24}
 """Distance up to which `colour_mosaics` depends on other pixels.
 
-Guided: 4 of a mean around a pixel, 2 of its guide; then 12 and 2."""
+Guided: 2 of a guide and 4 of a mean, twice; then 2 and 12."""
 
 # Taps along rows and along columns.  Those of the guide leave nothing of the periods of
 # colours (4) and of polarizers (2); those of means weigh all places of a cell alike.
@@ -97,7 +97,10 @@ def colour_mosaics(
         for k, c in enumerate(cell.flat):
             out[c, k // 4::4, k % 4::4] = image[k // 4::4, k % 4::4]
         return out
-    tint = means(image, guide(image), _NEAR, 1)
+    light = guide(image)
+    tint = means(image, light, _NEAR, 1)
+    # What the window blurs is in the residual: it is fitted once more.
+    tint += means(image - own(tint) * light, light, _NEAR, 1)
     np.maximum(tint, _FLOOR, out=tint)
     grey = image / own(tint)
     out = means(grey, guide(grey), _FAR, 2)

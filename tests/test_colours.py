@@ -328,11 +328,11 @@ def blob(at_x, at_y, level, dolp, aop_deg):
     return FunctionScene(light, sampling_us=1e5)
 
 
-@pytest.mark.parametrize("preset", ["ideal", "sony"])
-def test_a_simulated_colour_camera_measures_each_colour(preset):
+@pytest.mark.parametrize(("preset", "level"), [("ideal", 1), ("sony", 1), ("sony", 6)])
+def test_a_simulated_colour_camera_measures_each_colour(preset, level):
     """Without noise AoP .3 degrees, DoLP .01; with it S0 as a monochrome camera's."""
-    parts = [blob(0.0, 0.3, 10, 0.35, 30), blob(0.4, 0, 18, 0.3, 34),
-             blob(0.2, 0.2, 8, 0.25, 26)]
+    parts = [blob(0.0, 0.3, 10 * level, 0.35, 30), blob(0.4, 0, 18 * level, 0.3, 34),
+             blob(0.2, 0.2, 8 * level, 0.25, 26)]
 
     def image_of(scene, layout):
         camera = Camera.preset(

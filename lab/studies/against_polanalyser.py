@@ -144,7 +144,7 @@ def study(quick: bool) -> list[Found]:
                         slower(method, 15, (2048, 2432)), least, at_most=True)
                   for method, least in (("bilinear", 5.0), ("guided", 1.5))]
         ratio, off = stepped(15, (2048, 2448))
-        lines += [Found("steps: times as fast as polanalyser", ratio, 5.0,
+        lines += [Found("steps: times as fast as polanalyser", ratio, 4.0,
                         at_most=True),
                   Found("steps: relative difference of S0", off, 1e-5, at_least=True)]
     return lines
