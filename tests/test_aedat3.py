@@ -8,7 +8,14 @@ from aedat31_bytes import aedat31_file, packet
 from test_aedat4 import assert_same, joined, read
 from test_aedat4_writer import small
 
-from pdavis_cv import DamagedFileWarning, RecordingError, open_recording
+from pdavis_cv import (
+    EVENT_DTYPE,
+    IMU_DTYPE,
+    DamagedFileWarning,
+    RecordingError,
+    open_recording,
+    recording_from_arrays,
+)
 
 
 @pytest.fixture
@@ -27,6 +34,17 @@ def test_import_keeps_everything_upright(path):
         assert not recording.problems
     edges = wanted[3][np.isin(wanted[3]["type"], (1, 2, 3))]
     assert_same(got, (*wanted[:3], edges))
+
+
+def test_events_rarer_than_the_clock_s_reach_are_delivered(tmp_path):
+    events, imu = np.zeros(200, EVENT_DTYPE), np.zeros(4000, IMU_DTYPE)
+    events["t"], imu["t"] = 200_000 * np.arange(200), 10_000 * np.arange(4000)
+    (tmp_path / "x").write_bytes(aedat31_file(recording_from_arrays(
+        events, sensor_size=(12, 16), imu=imu)))
+    (found, _, samples, _), problems = read(tmp_path / "x")
+    assert found["t"].tolist() == events["t"].tolist()
+    assert len(samples) == 4000
+    assert {p.kind for p in problems} <= {"unknown size"}
 
 
 def test_the_nine_values_of_imu9_are_read_without_the_compass(tmp_path):

@@ -8,7 +8,14 @@ from test_aedat4_writer import small
 from test_event_files import some_events
 
 import pdavis_cv
-from pdavis_cv import Layout, open_recording, recording_from_arrays
+from pdavis_cv import (
+    EVENT_DTYPE,
+    TRIGGER_DTYPE,
+    ApsFrame,
+    Layout,
+    open_recording,
+    recording_from_arrays,
+)
 from pdavis_cv.data import example_recording
 from pdavis_cv.recording.registry import writer_for
 from pdavis_cv.tools.convert import main as convert
@@ -45,6 +52,24 @@ def test_a_recording_is_the_same_when_read_again(tmp_path, name, encoding):
     with open_recording(tmp_path / name) as again:
         assert again.info.layout == Layout.SONY
         assert_same(joined(again.packets()), (events, frames, imu[:0], kept))
+        assert again.problems == ()
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("beside", ["frames", "triggers"])
+def test_events_rarer_than_the_clock_s_reach_are_delivered(tmp_path, encoding, beside):
+    events, triggers = np.zeros(150, EVENT_DTYPE), np.zeros(1500, TRIGGER_DTYPE)
+    events["t"], triggers["t"] = 200_000 * np.arange(150), 20_000 * np.arange(1500)
+    triggers["type"] = 1
+    frames = [ApsFrame(np.full((12, 16), 100.0), t, t + 900, available_us=t + 1000)
+              for t in range(7, 30_000_000, 100_000)]
+    source = recording_from_arrays(events, frames if beside == "frames" else (),
+                                   sensor_size=(12, 16), triggers=(
+                                       triggers if beside == "triggers" else None))
+    written(tmp_path / "x.mcap", source, encoding=encoding)
+    with open_recording(tmp_path / "x.mcap") as again:
+        assert_same(joined(again.packets()), joined(source.packets()))
+        np.testing.assert_array_equal(again.events(), events)
         assert again.problems == ()
 
 

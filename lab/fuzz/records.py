@@ -4,7 +4,8 @@ A record is the least that a format lets one tell apart: a line, a row, a word, 
 and EVT3 the words from one time to the next, in a bag a message.  Bytes that are
 overwritten there cost the events of that record, and at most one beside it: of two
 events whose times are not in order nothing says which is wrong.  An upper time of EVT2
-or EVT3 that is a little ahead may also cost those of the next two, which seem late.
+or EVT3 that is a little ahead may also cost those of the next two, which seem late, and
+one that is lost up to eight before the next.
 """
 import re
 

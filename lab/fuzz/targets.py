@@ -316,4 +316,4 @@ def part_mutant(name, number, rng):
     spoilt = {i + k for i in hit for k in range(1 + TARGETS[name].spread)}
     return data, np.concatenate([np.zeros(0, np.int64), *(
         places for i, (*_, places) in enumerate(parts) if i not in spoilt)]), (
-            len(hit) * (1 + TARGETS[name].spread))
+            len(hit) * (8 if TARGETS[name].spread else 1))

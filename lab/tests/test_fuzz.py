@@ -53,7 +53,8 @@ def test_a_lie_costs_what_it_may(name, tmp_path):
     ("aedat4", 2611250540, 6268), ("aedat4", 2611250540, 27232),
     ("aedat4", 2611250540, 16636), ("aedat4", 2611251045, 69880),
     ("aedat31", 2611250540, 2296),
-    ("aedat31", 777001, 7452), ("aedat31", 777001, 34952), ("ros1", 2611251014, 748)])
+    ("aedat31", 777001, 7452), ("aedat31", 777001, 34952), ("aedat31", 77, 80),
+    ("ros1", 2611251014, 748)])
 def test_mutants_that_once_lost_whole_packets_lose_none(name, seed, number, tmp_path):
     if not fuzz.corpora(name):
         pytest.skip("needs an extra")

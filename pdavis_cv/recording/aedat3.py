@@ -286,10 +286,11 @@ class Aedat3Recording(PiecewiseRecording):
                         "samples were dropped because time ran backward")
             # Packets of different kinds are not in time order relative to each other.
             newest = max(clock.last for clock in clocks)
+            self._release(batch, clocks[POLARITY], newest - HORIZON_US, at, memory)
             promised = batch.complete_us = max(promised, newest - HORIZON_US)
             yield batch, at / self._reader.size
-        rest = self._taken(None, 0, clocks[POLARITY], self._reader.size, memory)
-        yield Batch(rest[rest["t"] >= promised]), 1.0
+        yield Batch(self._taken(
+            None, 0, clocks[POLARITY], self._reader.size, memory)), 1.0
 
     def _decoded(self, begin: int) -> Iterator[Decoded]:
         """Yield (byte, kind, samples or frames, times) of each packet from begin on."""

@@ -411,9 +411,11 @@ class RosRecording(PiecewiseRecording):
                 self._count(number, "backward time", int(late.sum()), "events came "
                             "later than the images after them")
                 batch.events = batch.events[~late]
-            newest = max(clock.last for clock in clocks.values())
-            promised = batch.complete_us = max(promised, newest - (
-                HORIZON_US if both else 0))
+            due = max(clock.last for clock in clocks.values()) - HORIZON_US * both
+            if not both and clocks["events"].begun:     # whose triggers may be ahead
+                due = clocks["events"].last
+            self._release(batch, clocks["events"], due, number, memory)
+            promised = batch.complete_us = max(promised, due)
             yield batch, (number + 1) / max(self._message_count, number + 1)
 
     @contextmanager

@@ -7,7 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from pdavis_cv.recording.base import Packet
+from pdavis_cv.recording.base import Packet, joined
 from pdavis_cv.recording.files import FileRecording
 from pdavis_cv.recording.packetise import Batch, cell_start, packetise
 from pdavis_cv.recording.scratch import Gathering, Scratch
@@ -57,6 +57,13 @@ class PiecewiseRecording(FileRecording):
             if start_us is stop_us is None and share > 0:
                 memory.expect(share)
         return memory.events
+
+    def _release(self, batch: Batch, clock: Clock, due_us: int, at: int,
+                 memory: Scratch) -> None:
+        """Add to a batch the events that a clock holds back from before a time."""
+        if clock.overdue(due_us):
+            parts = [] if batch.events is None else [batch.events.copy()]
+            batch.events = joined([*parts, self._taken(None, 0, clock, at, memory)])
 
     def _check_open(self) -> None:
         if self._closed:

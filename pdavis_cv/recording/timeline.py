@@ -130,6 +130,12 @@ class Clock:
         """Whether it has seen samples."""
         return self._held is not None
 
+    def overdue(self, t_us: int) -> bool:
+        """Return whether samples are held back that other streams will not wait for."""
+        held = self._held
+        return held is not None and len(held) > 0 and (
+            int(held["t"][0]) + (0 if self._accepted else self.offset) < t_us)
+
     def _jump(self, back_us: int) -> int:
         assert self._timeline is not None
         self.jumps += 1
