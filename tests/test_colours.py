@@ -1,5 +1,6 @@
 """Mosaics of colours and polarizers: layouts, demosaicing, files, pictures, truth."""
 import pickle
+import warnings
 from functools import partial
 
 import cv2
@@ -240,12 +241,22 @@ def test_a_file_is_read_with_its_colours_stated_or_found(shot):
         fuse(stated, layout="sony-bggr")
 
 
+@pytest.mark.parametrize("order", ORDERS)
+def test_an_order_in_which_green_is_elsewhere_is_doubted(shot, order):
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        pdavis_cv.open_recording(shot, layout=f"sony-{order}").close()
+    doubted = [str(one.message) for one in said]
+    assert len(doubted) == (order in ("grbg", "gbrg")), doubted
+    assert all("other pixels are green" in one for one in doubted)
+
+
 @pytest.mark.parametrize("name", ["a.aedat4", "a.h5", "a.mcap"])
 def test_copies_keep_the_colours(shot, tmp_path, name):
     copy = str(tmp_path / name)
-    assert main(["convert", str(shot), copy, "--layout", "sony-grbg"]) == 0
+    assert main(["convert", str(shot), copy, "--layout", "sony-bggr"]) == 0
     with pdavis_cv.open_recording(copy) as recording:
-        assert recording.info.layout == Layout.of("sony-grbg")
+        assert recording.info.layout == Layout.of("sony-bggr")
 
 
 def test_a_calibration_keeps_the_colours(tmp_path):

@@ -162,8 +162,14 @@ class ImageRecording(FileRecording):
             raise RecordingError(
                 f"{self._path}: images of a polarization camera need its layout "
                 '(layout="sony"), unless they are four planes I0, I45, I90, I135')
-        found = None if layout.colours else found_colours(first)
+        found = found_colours(first)
         if found is None:
+            return None
+        if layout.colours:
+            if [c == "G" for c in found] != [c == "G" for c in layout.colours]:
+                self._log.add(
+                    "colours", 0, f"the layout says {layout}, but by their means other "
+                    "pixels are green", warning=LayoutWarning)
             return None
         layout = replace(layout, owner=None, colours=found)
         self._log.add(
