@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv import _kernels
 from pdavis_cv.analyser import Analyser
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.stokes_vector import UNIFORM_SIGMA_RAD, propagated, stokes
+from pdavis_cv.stokes_vector import propagated, stokes
 
 __all__ = ["AnalyserSteps"]
 
@@ -21,7 +21,6 @@ _PIXELS = 1 << 16       # of which angles are found
 _CLEAR = 4.0
 """How many times above the third largest eigenvalue, noise, the second one must be."""
 _POOLED = 5             # side of the squares whose residuals give one variance
-_BLOCK = 1 << 15        # pixels that are solved at once: they stay in the cache
 
 
 @dataclass(frozen=True)
@@ -172,7 +171,8 @@ class AnalyserSteps:
                 n - 3 - missing.reshape(shape), 0) if len(some) else n - 3
             variance = _pooled(rest[0].reshape(shape)).ravel()
             variance /= np.maximum(_pooled(freedom), 1e-3).ravel()
-            made = _sigmas(planes, variance, solution)
+            made = np.stack(propagated(
+                tuple(planes), solution, np.broadcast_to(variance, flat.shape)))
             if len(some):
                 made[:, some] = propagated(
                     tuple(planes[:, some]), own.astype(np.float32), np.broadcast_to(
@@ -188,30 +188,6 @@ def _pooled(values: NDArray[np.float32] | int) -> NDArray[np.float32]:
     from scipy import ndimage
     return np.asarray(values if np.ndim(values) == 0 else ndimage.uniform_filter(
         values, _POOLED, mode="nearest"), np.float32)
-
-
-def _sigmas(
-    planes: NDArray[np.float32], variance: NDArray[np.float32],
-    solution: NDArray[np.float32],
-) -> NDArray[np.float32]:
-    """Return what `propagated` does for one variance of all images, (3, pixels)."""
-    (c00, c01, c02), (_, c11, c12), (*_, c22) = (solution @ solution.T).tolist()
-    out = np.empty_like(planes)
-    for begin in range(0, planes.shape[1], _BLOCK):
-        part = np.s_[begin:begin + _BLOCK]
-        s0, s1, s2 = planes[:, part]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            size = np.hypot(s1, s2)
-            c, s, spread = s1 / size, s2 / size, np.sqrt(variance[part]) / s0
-            dolp = size / s0
-            across = np.sqrt(s * (s * c11 - 2 * c * c12) + c * c * c22) * spread
-            along = c * (c * c11 + 2 * s * c12) + s * s * c22
-            along += dolp * (dolp * c00 - 2 * (c * c01 + s * c02))
-            out[0, part] = np.fmin(across / (2 * dolp), UNIFORM_SIGMA_RAD)
-            out[1, part] = np.sqrt(np.maximum(along, 0)) * spread
-            out[2, part] = across
-            out[1:, part][:, ~(s0 > 0)] = np.inf
-    return out
 
 
 def _checked(images: ArrayLike, count: int | None) -> NDArray[Any]:
