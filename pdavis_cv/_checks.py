@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from pdavis_cv._types import Image
 
 __all__ = ["MOST_ANGLE", "MOST_FPS", "MOST_RPM", "MOST_SIDE", "checked_rate",
-           "checked_threshold", "output", "place", "plain", "positive",
+           "checked_threshold", "floats", "output", "place", "plain", "positive",
            "real_number", "sensor_shape", "whole_number"]
 
 MOST_SIDE = 65_536
@@ -84,10 +84,22 @@ def output(
 
 def positive(name: str, value: float) -> float:
     """Return value as a float; raise ValueError unless it is positive and finite."""
-    number = float(value)
+    try:
+        number = float(value)
+    except (TypeError, OverflowError):
+        number = math.nan
     if not (np.isfinite(number) and number > 0):
         raise ValueError(f"{name} must be positive and finite, got {value!r}")
     return number
+
+
+def floats(name: str, value: Any, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Return a copy as floats; raise TypeError if it holds anything but numbers."""
+    try:
+        return np.array(value, dtype)
+    except TypeError:
+        raise TypeError(f"{name} must be a number or an array of numbers, got "
+                        f"{type(value).__name__}") from None
 
 
 def real_number(value: object) -> float:
@@ -164,7 +176,7 @@ def checked_threshold(
     ValueError
         If it is neither a scalar nor (H, W), or not positive and finite.
     """
-    array = np.array(value, np.float64)
+    array = floats(name, value)
     if array.shape not in ((), shape):
         raise ValueError(
             f"{name} must be a scalar or have shape {shape}, got {array.shape}")

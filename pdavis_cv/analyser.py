@@ -7,6 +7,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._checks import floats, real_number
 from pdavis_cv.sensor import CHANNELS
 
 __all__ = ["Analyser", "stokes_gain"]
@@ -43,7 +44,7 @@ class Analyser:
     solution: NDArray[np.float32]
 
     def __init__(self, response: ArrayLike) -> None:
-        a = np.array(response, np.float64)
+        a = floats("analyser", response)
         if a.shape[:2] != (4, 3) or a.ndim not in (2, 4):
             raise ValueError(
                 f"analyser must have shape (4, 3) or (4, 3, H, W), got {a.shape}")
@@ -134,7 +135,7 @@ def stokes_gain(extinction_ratio: float | None) -> float:
     """
     if extinction_ratio is None or extinction_ratio == math.inf:
         return 1.0
-    if not extinction_ratio > 1:
+    if not real_number(extinction_ratio) > 1:
         raise ValueError(
-            f"extinction_ratio must be greater than 1, got {extinction_ratio}")
+            f"extinction_ratio must be greater than 1, got {extinction_ratio!r}")
     return (extinction_ratio + 1) / (extinction_ratio - 1)

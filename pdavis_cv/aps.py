@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._checks import floats
+
 __all__ = ["LEAST_RESET_DN", "LEAST_SIGNAL_DN", "cds", "clip_level", "correct"]
 
 LEAST_RESET_DN = 384
@@ -192,7 +194,7 @@ def _equalized(
             ("dark", dark, np.subtract), ("gain", gain, np.multiply)):
         if value is None:
             continue
-        plane = np.asarray(value, np.float32)
+        plane = floats(name, value, np.float32)
         if plane.ndim and plane.shape != dn.shape:
             raise ValueError(f"{name} must be one number or have shape {dn.shape}, "
                              f"got {plane.shape}")

@@ -117,9 +117,12 @@ def timed_events(events: Any) -> Events:
 
 
 def checked_time(name: str, t_us: int) -> int:
-    """Return a time as an int; raise ValueError if it is further than `FAR` from 0."""
+    """Return a time as an int, which is no further than `FAR` from 0."""
     try:
         t = int(t_us)
+    except TypeError:
+        raise TypeError(
+            f"{name} must be a time in us, got {type(t_us).__name__}") from None
     except (ValueError, OverflowError):     # NaN and infinities
         t = FAR + 1
     if not -FAR <= t <= FAR:

@@ -53,16 +53,21 @@ def unpack(
     >>> unpack(bytes([0x12, 0x34, 0x56]), "12packed", (1, 2)).tolist()
     [[292, 1379]]
     """
-    if packing not in _GROUPS:
+    if not isinstance(packing, str) or packing not in _GROUPS:
         raise ValueError(
             f"packing must be one of {', '.join(PACKINGS)}, got {packing!r}")
     bits, pixels, size = _GROUPS[packing]
-    raw: Image = (
-        np.asarray(data) if isinstance(data, np.ndarray)
-        else np.frombuffer(data, np.uint8))
+    try:
+        raw: Image = (np.asarray(data) if isinstance(data, np.ndarray)
+                      else np.frombuffer(data, np.uint8))
+        shape = tuple(operator.index(side) for side in shape)
+    except TypeError as error:
+        raise TypeError(
+            "data must be bytes or uint8, and shape whole numbers, got "
+            f"{type(data).__name__} and {shape!r}") from error
     if raw.dtype != np.uint8:
         raise TypeError(f"data must be bytes or uint8, got {raw.dtype}")
-    count = math.prod(operator.index(side) for side in shape)
+    count = math.prod(shape)
     groups, rest = divmod(count, pixels)
     # An incomplete group ends in the byte that holds the last bits of its last pixel.
     needed = groups * size + (rest * size + pixels - 1) // pixels

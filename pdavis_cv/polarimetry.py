@@ -117,6 +117,8 @@ class PolarFrame(Advises):
         quality: ArrayLike | None = None,
         reconciled: bool = False,
     ) -> None:
+        if quad is None:
+            raise TypeError("quad must be four planes, got None")
         copies = {name: np.array(real(name, value), order="C") for name, value in (
             ("quad", quad), ("variance", variance), ("quality", quality))
             if value is not None}

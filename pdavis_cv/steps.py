@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._checks import floats
 from pdavis_cv.analyser import Analyser
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.stokes_vector import propagated, stokes
@@ -53,7 +54,7 @@ class AnalyserSteps:
     sweep: float = 0.0
 
     def __post_init__(self) -> None:
-        angles = tuple(float(angle) for angle in np.asarray(self.angles).ravel())
+        angles = tuple(floats("angles", self.angles).ravel().tolist())
         object.__setattr__(self, "angles", angles)
         if not abs(self.sweep) < math.pi:
             raise ValueError(f"sweep must be less than pi, got {self.sweep}")

@@ -30,6 +30,8 @@ from pdavis_cv.reconstruct.events import EventHighPass  # noqa: E402
 from pdavis_cv.reconstruct.frames import FrameHold  # noqa: E402
 from pdavis_cv.reconstruct.redundancy import EventRedundancy  # noqa: E402
 
+SPOKEN = {"packet": "event", "picture": "frame"}
+"""What errors call an argument of the calls below."""
 ALLOWED = (TypeError, ValueError, pdavis_cv.PdavisError)
 LONGEST_S = 5.0      # of processor time
 WAIT_S = 60
@@ -132,7 +134,7 @@ def hostile_numbers():
                 10**30, 0.0, -0.0, 0.5, 1e-300, 1e300, -1e300, 5e-324, math.inf,
                 -math.inf, math.nan, np.float32(3e38), np.int64(2**63 - 1), True,
                 1j, "1", "", b"1", (), (1,), [], {}, np.array([]), np.array([1, 2]),
-                np.array(math.nan), object)
+                np.array(math.nan), object())
 
 
 def hostile_arrays(like):
@@ -289,8 +291,14 @@ def tried(name, function, arguments, changed):
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             function(**arguments)
-    except ALLOWED:
+    except pdavis_cv.PdavisError:
         pass
+    except ALLOWED as error:
+        argument = changed.partition("=")[0]
+        named = {argument, SPOKEN.get(argument, argument), *(
+            word for word in argument.split("_") if len(word) > 3)}
+        if isinstance(error, TypeError) and not any(n in str(error) for n in named):
+            return f"{name}({changed}): an error of something inside: {error}"
     except Hang:
         return f"{name}({changed}): took more than {WAIT_S:g} s"
     except BaseException as error:

@@ -45,6 +45,18 @@ def test_only_one_plane_is_coloured(image, colour):
         colour(image.quad)
 
 
+@pytest.mark.parametrize(("call", "said"), [
+    (lambda path: pdavis_cv.write_aedat4(path, "x.aedat4"), "recording must be .* str"),
+    (lambda path: pdavis_cv.write_aedat2(path, None), "recording must be .* NoneType"),
+    (lambda path: pdavis_cv.Aedat2Writer(path, sensor_size=None), "sensor_size must"),
+    (lambda path: pdavis_cv.Analyser({}), "analyser must be .* got dict"),
+    (lambda path: pdavis_cv.Calibration(sensor_size=None), "sensor_size must"),
+    (lambda path: pdavis_cv.PolarFrame(None, t_us=0), "quad must be four planes")])
+def test_an_error_names_the_argument_of_what_was_called(call, said, tmp_path):
+    with pytest.raises((TypeError, ValueError), match=said):
+        call(tmp_path / "x")
+
+
 def test_degrees_are_not_taken_for_radians(image):
     with pytest.raises(ValueError, match=r"in radians, got 45; see np\.radians"):
         render.aop_bgr(np.full((2, 2), 45.0))

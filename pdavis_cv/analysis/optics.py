@@ -10,6 +10,7 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._checks import floats
 from pdavis_cv.errors import AnalysisWarning
 
 __all__ = ["birefringence", "retardance", "subtract_background"]
@@ -44,7 +45,7 @@ def retardance(
     AnalysisWarning
         If a value is above 0.95: beyond pi/2 retardance folds back.
     """
-    p = np.asarray(dolp, np.float64)
+    p = floats("dolp", dolp)
     inside = (p >= 0) & (p <= 1)
     delta = np.full(p.shape, np.nan)
     np.arcsin(p, out=delta, where=inside)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv._arrays import read_arrays
 from pdavis_cv._beside import write_beside
+from pdavis_cv._checks import sensor_shape
 from pdavis_cv._types import Facts, Image
 from pdavis_cv.errors import CalibrationError
 from pdavis_cv.sensor import Layout
@@ -110,7 +111,7 @@ class Calibration:
     notes: Facts = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        height, width = map(int, self.sensor_size)
+        height, width = sensor_shape(self.sensor_size, "sensor_size")
         object.__setattr__(self, "sensor_size", (height, width))
         for name in _PLANES:
             if getattr(self, name) is not None:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._checks import floats
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.recording.base import Source
 from pdavis_cv.recording.facts import ASSUMED, CALIBRATION, CALLER, FILE
@@ -137,7 +138,7 @@ def _checked_pair(
 
 
 def _checked(name: str, side: str, value: ArrayLike, size: tuple[int, int]) -> Theta:
-    array = np.asarray(value, np.float32)
+    array = floats(f"{name} ({side})", value, np.float32)
     if array.ndim and array.shape != size:
         raise ValueError(
             f"{name} ({side}) must be a number or have shape {size}, got {array.shape}")

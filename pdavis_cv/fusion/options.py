@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv._checks import checked_rate, plain
+from pdavis_cv._checks import checked_rate, plain, real_number
 from pdavis_cv._options import Options, documented, option
 from pdavis_cv._types import Parameters
 from pdavis_cv.calibration.model import Calibration
@@ -306,8 +306,8 @@ def _check_extinction_ratio(value: Any) -> None:
     if isinstance(value, str):
         raise ValueError(
             f"extinction_ratio must be 'nominal', a number or None, got {value!r}")
-    if not 1 < float(value) < math.inf:
-        raise ValueError(f"extinction_ratio must exceed 1, got {value}")
+    if not 1 < real_number(value) < math.inf:
+        raise ValueError(f"extinction_ratio must exceed 1, got {value!r}")
 
 
 def _checked_roi(roi: Any) -> tuple[int, int, int, int] | None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import output, positive, sensor_shape, whole_number
+from pdavis_cv._checks import floats, output, positive, sensor_shape, whole_number
 from pdavis_cv._types import Events, Parameters, Records, State
 from pdavis_cv.events import FAR, checked_time, timed_events
 from pdavis_cv.pixel.model import PixelModel
@@ -159,7 +159,7 @@ class EventRedundancy(Reconstructor):
         self._cutoff_hz = positive("cutoff_hz", cutoff_hz)
         self.lookahead_us: int = whole_number("lookahead_us", lookahead_us, 0, FAR)
         self._bandwidth = _checked_bandwidth(bandwidth)
-        self._response = None if response is None else np.array(response, np.float64)
+        self._response = None if response is None else floats("response", response)
         self._model = model
         self._tune()
         loss = -math.expm1(-1e-6 * math.tau * self._cutoff_hz * STEP_US)

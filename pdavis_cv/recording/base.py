@@ -98,6 +98,8 @@ class ApsFrame(Advises):
         signal: NDArray[np.uint16] | None = None,
     ) -> None:
         stored = np.asarray(dn)
+        if stored.dtype.kind == "O":
+            raise TypeError(f"dn must be numbers, got {type(dn).__name__}")
         if stored.dtype.kind not in "iu" or stored.flags.writeable:
             stored = np.require(stored, np.float32, ("C", "A"))
         self._dn = stored

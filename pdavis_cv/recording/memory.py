@@ -94,7 +94,11 @@ def recording_from_arrays(
         If time runs backward, or an event or a frame lies outside the sensor.
     """
     events = np.empty(0, EVENT_DTYPE) if events is None else timed_events(events)
-    frames = tuple(frames)
+    try:
+        frames = tuple(frames)
+    except TypeError:
+        raise TypeError(
+            f"frames must be ApsFrames, got {type(frames).__name__}") from None
     layout = None if layout is None else Layout.of(layout)
     height, width = sensor_shape(sensor_size, "sensor_size")
     check_order(events)
@@ -108,7 +112,7 @@ def recording_from_arrays(
     for i, frame in enumerate(frames):
         if not isinstance(frame, ApsFrame):
             raise TypeError(
-                f"frame {i} must be an ApsFrame, got {type(frame).__name__}")
+                f"frames must be ApsFrames, but frame {i} is {type(frame).__name__}")
         if frame.shape != (height, width):
             raise ValueError(
                 f"frame {i} is {frame.shape[1]}x{frame.shape[0]}, the sensor "

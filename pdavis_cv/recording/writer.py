@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import Unfinished
-from pdavis_cv.recording.base import Packet, RecordingInfo
+from pdavis_cv.recording.base import Packet, RecordingInfo, Source
 from pdavis_cv.recording.facts import text_of
 from pdavis_cv.recording.prophesee import FALLING, RISING
 
-__all__ = ["RecordingWriter", "edges_of", "source_text"]
+__all__ = ["RecordingWriter", "edges_of", "info_of", "source_text"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -154,6 +154,14 @@ class RecordingWriter(ABC):
             self.close()
         else:
             self.discard()
+
+
+def info_of(recording: Source) -> RecordingInfo:
+    """Return the facts of what is to be written; raise TypeError if it is no Source."""
+    if not isinstance(recording, Source):
+        raise TypeError("recording must be one that open_recording returns, got "
+                        f"{type(recording).__name__}")
+    return recording.info
 
 
 def source_text(info: RecordingInfo) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._checks import real_number
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render.cyclic import even_hues, hsv_hues
 
@@ -181,8 +182,8 @@ def grey_bgr(
     ValueError
         If `white` is not positive.
     """
-    if not white > 0:
-        raise ValueError(f"white must be positive, got {white}")
+    if not real_number(white) > 0:
+        raise ValueError(f"white must be positive, got {white!r}")
     return through_table(
         _kernels.ramp_bgr, one_plane("intensity", intensity), valid, 255 / white,
         GREY_TABLE if saturated is None else SEEN_TABLE, saturated)
@@ -238,6 +239,8 @@ def one_plane(name: str, values: ArrayLike) -> NDArray[Any]:
         raise TypeError(f"{name} must be one plane of the image, such as image.aop, "
                         "image.dolp or image.s0, got the whole PolarFrame")
     plane = np.asarray(values)
+    if plane.dtype.kind not in "biuf":
+        raise TypeError(f"{name} must be real numbers, got {plane.dtype}")
     if plane.ndim > 2:
         raise ValueError(f"{name} must have shape (H, W), got {plane.shape}; "
                          "PolarFrame(quad) makes AoP and DoLP of four intensities")

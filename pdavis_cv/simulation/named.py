@@ -4,6 +4,7 @@ from __future__ import annotations
 import dataclasses
 import math
 
+from pdavis_cv._checks import positive, real_number
 from pdavis_cv.simulation.camera import DEFAULT_CAMERA
 from pdavis_cv.simulation.patterns import Fan, Tendon, Texture
 from pdavis_cv.simulation.scenes import (
@@ -75,8 +76,9 @@ def named_scene(
         If there is no such scene, `background` is negative, or the scene sets its own
         light.
     """
-    if name not in SCENES:
+    if not isinstance(name, str) or name not in SCENES:
         raise ValueError(f"scene must be one of {', '.join(SCENES)}, got {name!r}")
+    seconds = positive("seconds", seconds)
     hold_us = seconds * 1e6 / _STEPS
     scenes: dict[str, Scene] = {
         "polarizer": RotatingPolarizer(rpm=rpm, start_angle=start_angle),
@@ -98,8 +100,9 @@ def named_scene(
         if name in ("dr", "dark"):
             raise ValueError(f"{name} sets its own light: leave --light out")
         scene = dataclasses.replace(scene, s0=light)  # type: ignore[type-var]
-    if background < 0:
-        raise ValueError(f"--background must not be negative, got {background:g}")
+    if not real_number(background) >= 0:
+        raise ValueError(f"background must not be negative, got {background!r}")
     if background:
         scene = scene + FlatLight(s0=background, dolp=0.3, aop=math.radians(30))
-    return scene if flicker_hz is None else scene.flicker(flicker_hz)
+    return scene if flicker_hz is None else scene.flicker(
+        positive("flicker_hz", flicker_hz))

@@ -108,7 +108,7 @@ class KalmanFilter(Reconstructor):
         response: ArrayLike | None = None,
     ) -> None:
         self.shape = sensor_shape(shape)
-        if mode not in LOOKAHEADS:
+        if not isinstance(mode, str) or mode not in LOOKAHEADS:
             raise ValueError(
                 f"mode must be 'buffered', 'causal' or 'offline', got {mode!r}")
         lookahead_us = whole_number("lookahead_us", (

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import clear
+from pdavis_cv._checks import sensor_shape
 from pdavis_cv.recording.aedat2.header import CHIP_SIZES, SOURCE
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo, Source
-from pdavis_cv.recording.writer import RecordingWriter, source_text
+from pdavis_cv.recording.writer import RecordingWriter, info_of, source_text
 
 __all__ = ["Aedat2Writer", "write_aedat2"]
 
@@ -62,10 +63,9 @@ class Aedat2Writer(RecordingWriter):
         preferences: Mapping[str, str] | None = None,
         source: RecordingInfo | None = None,
     ) -> None:
-        if tuple(sensor_size) not in _CHIPS:
-            raise ValueError(
-                "sensor_size must be that of a DAVIS, one of "
-                f"{sorted(_CHIPS)}, got {tuple(sensor_size)}")
+        if sensor_shape(sensor_size, "sensor_size") not in _CHIPS:
+            raise ValueError("sensor_size must be that of a DAVIS, one of "
+                             f"{sorted(_CHIPS)}, got {tuple(sensor_size)}")
         super().__init__(path, sensor_size)
         self._origin, self._wall = int(origin_us), wall_clock_us
         self._preferences = dict(preferences or {})
@@ -264,7 +264,7 @@ def write_aedat2(
 
 def aedat2_writer(path: str | os.PathLike[str], recording: Source) -> Aedat2Writer:
     """Return a writer with the header for a recording."""
-    info = recording.info
+    info = info_of(recording)
     start = info.start_us or 0
     # Times have 32 bits, so Unix times need an origin.
     origin = 0 if 0 <= start < 1 << 31 else start - 1_000_000

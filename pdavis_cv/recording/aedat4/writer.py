@@ -16,7 +16,7 @@ from pdavis_cv._beside import clear
 from pdavis_cv.recording.aedat4.container import COMPRESSIONS, MAGIC
 from pdavis_cv.recording.aedat4.samples import EIGHT_BIT_DN, TEN_BIT_DN
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo, Source
-from pdavis_cv.recording.writer import RecordingWriter, source_text
+from pdavis_cv.recording.writer import RecordingWriter, info_of, source_text
 from pdavis_cv.sensor import Layout
 
 __all__ = ["EVENTS", "FRAMES", "IMU", "TRIGGERS", "Aedat4Writer", "StreamEncoder",
@@ -211,7 +211,7 @@ def write_aedat4(
     mapping of str to int
         Number of occurrences of what the format could not hold, by description.
     """
-    info = recording.info
+    info = info_of(recording)
     clear(path)
     with Aedat4Writer(
             path, sensor_size=info.sensor_size, layout=info.layout,
