@@ -163,6 +163,15 @@ def test_a_stream_whose_packet_does_not_unpack_goes_on(tmp_path):
     assert 0 < len(found) < len(whole)
 
 
+def test_a_stream_whose_packet_unpacks_to_too_much_ends(tmp_path):
+    data = corpus.dv(corpus.small)[0]
+    head, packets, _ = mutators._taken_apart(data, 0)
+    bomb = struct.pack("<I", (1 << 26) - 4) + bytes((1 << 26) - 4)
+    packets[0] = 0, lz4.frame.compress(bomb)
+    with pytest.raises(pdavis_cv.DeviceError, match="more than the limit ratio"):
+        TARGETS["dv"].read(mutators._together(head, packets, b""), tmp_path)
+
+
 def test_a_stream_with_a_time_years_away_is_not_searched_through(tmp_path):
     data = corpus.dv(corpus.small)[0]
     head, packets, _ = mutators._taken_apart(data, 0)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._checks import whole_number
 from pdavis_cv._types import Events
-from pdavis_cv.errors import DeviceError
+from pdavis_cv.errors import DeviceError, RecordingError
 from pdavis_cv.events import FAR
 from pdavis_cv.live.base import HEARTBEAT_S, Address, LiveSource
 from pdavis_cv.live.inbox import MOST_BYTES
@@ -242,6 +242,8 @@ class DvSource(LiveSource):
                     Packet(triggers=_sorted(samples.triggers(data, table))))
         except PayloadError as error:
             self._log.add("damage", None, f"a packet could not be read: {error}")
+        except RecordingError as error:     # a limit is passed, or a package missing
+            raise DeviceError(str(error)) from error
 
     def _of_events(
         self, data: bytes | memoryview, at: int, count: int
