@@ -26,6 +26,8 @@ WORKERS := $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
 demo: $(VENV)/.with-cv2
 	$(VENV)/bin/pdavis demo -o demo --progress
 
+# There is a worker for each core; BLAS's threads would wait, busily, for each other.
+test: export OPENBLAS_NUM_THREADS := 1
 test: $(VENV)/.with-$(if $(ALL),lab,test)
 	$(VENV)/bin/pytest -q -n $(WORKERS) --dist worksteal $(if $(ALL),-m '' tests lab/tests)
 

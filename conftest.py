@@ -8,9 +8,6 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-# There is a worker for each core; BLAS's threads would wait, busily, for each other.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 # How long an example takes says how busy the machine is.
 hypothesis.settings.register_profile(
     "untimed", deadline=None,
