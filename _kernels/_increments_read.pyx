@@ -4,11 +4,11 @@ from libc.stdint cimport int32_t, int64_t, uint8_t, uint32_t
 from libc.string cimport memset
 
 from _kernels._increments cimport (
-    AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEVEL, NEVER, PER_TURN,
-    PRIOR_ODDS, RESTS, SLOPE, SMOOTH_FROM, VARIANCE, anchor_t, around_t, at_rest,
-    camera_of, camera_t, course_of, course_t, drift_of, lead_of, mean_at, node_t,
-    pixel_t, rest_planes, rest_row, show_row, shown_t, silence_of, silence_t,
-    silent_variance, stored_t, weight)
+    AFTER, BEFORE, BENDS, CHANGED, DOUBTFUL, ENDED, FLICKERS, GROWS, HOT, KNOT, LEVEL,
+    NEVER, PER_TURN, PRIOR_ODDS, RESTS, SHARE, SLOPE, SMOOTH_FROM, VARIANCE, anchor_t,
+    around_t, at_rest, camera_of, camera_t, course_of, course_t, drift_of, lead_of,
+    mean_at, node_t, pixel_t, rest_planes, rest_row, show_row, shown_t, silence_of,
+    silence_t, silent_variance, stored_t, weight)
 from _kernels._increments_frames cimport (
     around_of, corner_of, frame_of, frame_t, lags_of, lags_t, node_of, open_since, say,
     silence_in, weigh_counts)
@@ -100,6 +100,8 @@ cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t*
                                   + until[1] * until[1] * s11 + c.gamma * after)
             s.common = -<float>(until[0] * (a.p[1] + since[0] * s00 + since[1] * s01)
                                 + until[1] * (a.p[2] + since[0] * s01 + since[1] * s11))
+    s.back = <float>fabs(since[b < a.log] + until[b < a.log])
+    s.passed = <float>(fabs(since[0] + until[0]) + fabs(since[1] + until[1]))
     each = passed + after
     each = 0.5 * c.beta * min(each, 1.0) / each if each > 0.0 else 0.0
     s.p_ahead += <float>(each * passed)
@@ -109,6 +111,7 @@ cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t*
 cdef struct frames_t:
     # The frames before and after a read, and the epoch of the planes.
     frame_t before, later
+    frame_t ended               # later, with its nodes where silences have ended
     const anchor_t* anchors
     const float* back           # NULL: no frame after
     const double* middle        # of both by column
@@ -122,33 +125,63 @@ cdef struct frames_t:
 
 cdef inline int frames_of(tuple frames, Py_ssize_t h, Py_ssize_t w,
                           frames_t* f) except -1:
-    """Unpack (frame before, frame after or None, middles, alone, anchors, back, epoch).
-    """
+    """Unpack the frames of `increments_move`."""
     cdef const anchor_t[:, ::1] anchors
     cdef const float[:, :, ::1] back
     cdef const double[:, ::1] middles
-    before, later, middles, f.alone, anchors, back, f.epoch = frames
+    cdef node_t[:, ::1] ended
+    before, later, ended, middles, f.alone, anchors, back, f.epoch = frames
     f.w, f.size = w, h * w
     frame_of(before, h, w, &f.before)
     f.back = NULL
     if (anchors.shape[0] != h or anchors.shape[1] != w or middles.shape[0] != 2
-            or middles.shape[1] != w):
+            or middles.shape[1] != w or ended.shape[0] != h or ended.shape[1] != w):
         raise ValueError("all images must have one shape")
     if later is not None:
         frame_of(later, h, w, &f.later)
         if back.shape[0] != 2 or back.shape[1] != h or back.shape[2] != w:
             raise ValueError("all images must have one shape")
         f.back = &back[0, 0, 0]
+        f.ended = f.later
+        f.ended.nodes = &ended[0, 0]
     f.anchors, f.middle = &anchors[0, 0], &middles[0, 0]
     return 0
 
 
+cdef inline double line_of(double t, double j, const shown_t* shown, Py_ssize_t at,
+                           Py_ssize_t x, const frames_t* f, double* log,
+                           double* variance) noexcept nogil:
+    """The straight line between the frames around t, and its share in the estimate j,
+    whose variance becomes that of both.  (14)"""
+    cdef const anchor_t* a = f.anchors + at
+    cdef double seconds = 1e-6 * (f.middle[f.w + x] - f.middle[x])
+    cdef double s = 1e-6 * (t - f.middle[x]) / seconds, moved = f.back[at] - a.log
+    cdef double own, both, bend, back, spare, far, share
+    log[0] = a.log + s * moved
+    s = min(max(s, 0.0), 1.0)
+    own = variance[0] - (1.0 - s) * (1.0 - s) * a.p[0] - s * s * f.back[f.size + at]
+    if own <= 0.0:
+        return 0.0
+    bend = (moved / seconds - a.slope) / seconds
+    bend = max(bend * bend, <double>a.bend2)
+    back = a.back + (shown.back - a.back) / a.sampled
+    spare = a.spare + (shown.passed - fabs(moved) - a.spare) / a.sampled
+    spare = max(spare, back)
+    s *= (1.0 - s) * seconds * seconds
+    both = own + bend * s * s + spare * spare
+    far = (j - log[0]) * (j - log[0]) / (DOUBTFUL * both)
+    share = own / both
+    share *= share / (1.0 + far * far)
+    variance[0] += share * (share * both - 2.0 * own)
+    return share
+
+
 cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_,
-                          Py_ssize_t x, const frames_t* f,
+                          Py_ssize_t at, Py_ssize_t x, const frames_t* f,
                           const camera_t* c, double* log, double* variance,
-                          silence_t* silence) noexcept nogil:
-    """ln(I + black) at t without what other times and pixels say, its variance, and the
-    silence that is open at t."""
+                          silence_t* silence, double* share) noexcept nogil:
+    """ln(I + black) at t without what other times and pixels say, its variance, the
+    silence that is open at t, and the share of what others say."""
     cdef around_t a
     cdef double[2] rise, bend
     cdef int k
@@ -194,6 +227,12 @@ cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_
             u *= 1.0 - u * s.corner / (c.hz + s.corner)
         j += u
     log[0] = j
+    share[0] = 1.0
+    if (s.state & (BEFORE | AFTER | HOT) == BEFORE | AFTER
+            and f.anchors[at].sampled > 1.0):
+        u = line_of(<double>t, j, s, at, x, f, &light, variance)
+        share[0] = 1.0 - u
+        log[0] = j + u * (light - j)
 
 
 def increments_rest_planes(tuple frames not None, const double[::1] camera not None,
@@ -206,7 +245,7 @@ def increments_rest_planes(tuple frames not None, const double[::1] camera not N
     cdef frames_t f
     first, last = bands
     frames_of(frames, h, w, &f)
-    if planes.shape[0] != 5:
+    if planes.shape[0] != 6:
         raise ValueError("increments_rest_planes: all images must have one shape")
     with nogil:
         for y in range(first, last):
@@ -216,6 +255,7 @@ def increments_rest_planes(tuple frames not None, const double[::1] camera not N
                 planes[LEVEL, y, x] = a.log
                 planes[VARIANCE, y, x] = a.p[0] if a.sampled > 0.0 else -1.0
                 planes[SLOPE, y, x], planes[GROWS, y, x] = 0.0, -1.0
+                planes[SHARE, y, x] = 1.0
                 if f.back != NULL:
                     planes[SLOPE, y, x] = f.back[at] - f.later.said[at]
                     planes[GROWS, y, x] = f.back[f.size + at]
@@ -235,11 +275,12 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
                     float[:, :, ::1] around, bands not None):
     """Bring the planes of the listed pixels up to date for a read.
 
-    frames is (frame before, frame after or None, middles, whether that is the last,
-    anchors, back, epoch), times (t, known, whether all frames are new).  Of the list,
-    the entries first <= i < last are processed, and of these, pixels that are due at
-    t; due becomes when they are next.  around receives what the counts of each weigh,
-    less that at the frame before, by way of courses; None: nothing is weighed.
+    frames is (frame before, frame after or None, its nodes once silences in it have
+    ended, middles, whether that is the last, anchors, back, epoch), times (t, known,
+    whether all frames are new).  Of the list, the entries first <= i < last are
+    processed, and of these, pixels that are due at t; due becomes when they are next.
+    around receives what the counts of each weigh, less that at the frame before, by way
+    of courses; None: nothing is weighed.
 
     Between events, and farther than all lags from them, a pixel's value is interpolated
     between times since the event that grow by `KNOT`: an image does not depend on which
@@ -258,7 +299,7 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
     frames_of(frames, h, w, &f)
     f.lamp = &lamp
     if (shown.shape[0] != h or shown.shape[1] != w or due.shape[0] != h
-            or due.shape[1] != w or planes.shape[0] != 5 or planes.shape[1] != h
+            or due.shape[1] != w or planes.shape[0] != 6 or planes.shape[1] != h
             or planes.shape[2] != w or around is not None and (
                 f.before.around == NULL or courses is None or courses.shape[0] != h
                 or courses.shape[1] != w or around.shape[0] != 3
@@ -276,7 +317,7 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
             at = listed[i + HOP] if i + HOP < last else -1
             if 0 <= at < f.size and (f.fresh or t >= until[at]):
                 prefetch_all(&shown[0, 0] + at, sizeof(shown_t))
-                for k in range(5):
+                for k in range(6):
                     prefetch(plane + k * f.size + at)
                 if around is not None:
                     prefetch_all(&courses[0, 0] + at, sizeof(course_t))
@@ -292,6 +333,26 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
                     &around[0, 0, 0] if around is not None else NULL)
 
 
+cdef inline node_t* later_of(const pixel_t* p, const stored_t* store, Py_ssize_t at,
+                             Py_ssize_t x, int64_t known, const frames_t* f,
+                             const camera_t* c, bint* ended) noexcept nogil:
+    """The frame after; a silence that was open at its end may have ended by `known`."""
+    cdef node_t* node = f.ended.nodes + at
+    cdef int64_t since = open_since((f.later.nodes + at).open_t, p)
+    cdef int32_t k = p.next
+    if since == NEVER:
+        return f.later.nodes + at
+    while k >= 0 and store[k].t <= since:
+        k = store[k].next
+    ended[0] = k >= 0 and since < store[k].t <= known
+    if not ended[0]:
+        return f.later.nodes + at
+    if node.around_t != <int64_t>f.middle[f.w + x]:
+        node_of(p, store, &f.ended, at, x, store[k].t, c, f.lamp)
+        node.around_t = <int64_t>f.middle[f.w + x]
+    return node
+
+
 cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t at,
                              bint changed, int64_t t, int64_t known, const frames_t* f,
                              const lags_t* lags, const camera_t* c, shown_t* s,
@@ -302,11 +363,15 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
     cdef node_t* node = f.before.nodes + at
     cdef int64_t t0 = t, t1 = t, until = 0
     cdef double[3] out
-    cdef double j0, v0, j1, v1, since, knot, rate
+    cdef double j0, v0, j1, v1, since, knot, rate, share = 1.0, u
     cdef bint rests = False, smooth = False
     cdef silence_t silence, other
     cdef int k
-    if changed or f.fresh:
+    cdef bint ended = False
+    cdef node_t* later = node
+    if f.back != NULL:
+        later = later_of(p, store, at, x, known, f, c, &ended)
+    if changed or f.fresh or ended != (s.state & ENDED > 0):
         if p.at.run > 0 and p.at.t > open_since(node.open_t, p):
             # Its end is known now.
             node_of(p, store, &f.before, at, x, p.at.t, c, f.lamp)
@@ -314,12 +379,13 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
                 and p.at.t > open_since(node.around_t, p)):
             around_of(p, store, &f.before, at, x, p.at.t, lags, c)
         if f.back != NULL:
-            show_one(p, store, node, f.anchors + at, f.later.nodes + at,
+            show_one(p, store, node, f.anchors + at, later,
                      f.later.said[at], f.back[at], f.back[size + at], f.alone,
                      f.theta_cov, c, f.lamp, s)
         else:
             show_one(p, store, node, f.anchors + at, node, 0.0, 0.0, -1.0, False,
                      f.theta_cov, c, f.lamp, s)
+        s.state |= ENDED if ended else 0
     silence.rise = silence.bend = 0.0
     knot = since = 1e-6 * <double>(t - s.last)
     if s.next > known:
@@ -342,13 +408,19 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
     else:
         if smooth:
             t0 = s.last + <int64_t>(1e6 * knot)
-            until = t1 = s.last + <int64_t>(1e6 * knot * KNOT)
-        estimate(s, t0, t0 + f.ahead if smooth else known, smooth, x, f, c, &j0, &v0,
-                 &silence)
+            t1 = s.last + <int64_t>(1e6 * knot * KNOT)
+            if f.back != NULL:          # the line (14) ends at both frames
+                if f.middle[x] < t:
+                    t0 = max(t0, <int64_t>f.middle[x])
+                if f.middle[f.w + x] > t:
+                    t1 = min(t1, <int64_t>f.middle[f.w + x])
+            until = t1
+        estimate(s, t0, t0 + f.ahead if smooth else known, smooth, at, x, f, c, &j0,
+                 &v0, &silence, &share)
         plane[SLOPE * size + at] = plane[GROWS * size + at] = 0.0
         plane[BENDS * size + at] = 0.0
         if smooth:
-            estimate(s, t1, t1 + f.ahead, smooth, x, f, c, &j1, &v1, &other)
+            estimate(s, t1, t1 + f.ahead, smooth, at, x, f, c, &j1, &v1, &other, &u)
             since = 1e-6 * <double>(f.epoch - t0)
             rate = (j1 - j0) / (1e-6 * <double>(t1 - t0))
             plane[SLOPE * size + at] = <float>rate
@@ -358,6 +430,7 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
             v0 += since * rate
         plane[LEVEL * size + at] = <float>j0
         plane[VARIANCE * size + at] = <float>v0
+    plane[SHARE * size + at] = <float>share
     if s.next != NEVER:
         until = min(until, s.next - f.ahead)    # then it is known
     if around != NULL:
@@ -403,7 +476,7 @@ def increments_image(const float[:, :, ::1] planes not None,
     lit = ripple(&lamp, 0.0, t, &rate)
     log, variance, valid = out
     first, last = bands
-    if (planes.shape[0] != 5 or planes.shape[1] != log.shape[0]
+    if (planes.shape[0] != 6 or planes.shape[1] != log.shape[0]
             or planes.shape[2] != log.shape[1] or variance.shape[0] != log.shape[0]
             or variance.shape[1] != log.shape[1] or valid.shape[0] != log.shape[0]
             or valid.shape[1] != log.shape[1] or around is not None and (
@@ -418,6 +491,7 @@ def increments_image(const float[:, :, ::1] planes not None,
                 memset(&log[y, 0], 0, log.shape[1] * sizeof(float))
             show_row(&planes[LEVEL, y, 0], &planes[SLOPE, y, 0],
                      &planes[VARIANCE, y, 0],
-                     &planes[GROWS, y, 0], &planes[BENDS, y, 0], <float>seconds,
+                     &planes[GROWS, y, 0], &planes[BENDS, y, 0],
+                     &planes[SHARE, y, 0], <float>seconds,
                      <float>lit, <float>most, log.shape[1], &log[y, 0], &variance[y, 0],
                      &valid[y, 0])

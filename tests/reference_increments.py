@@ -10,6 +10,7 @@ from pdavis_cv.pixel.model import LAGS_S
 SAMPLES, SHORT_US, GATE, LEARN_EVENTS = 7, 1500, 16.0, 3
 RESTS, TURN, EARLIEST_TURN = 2.5, 0.268, 3 - 2 * math.sqrt(2)
 SMOOTH_FROM_S, KNOT = 0.045, 1.1
+DOUBTFUL = 9.0
 CLAIM, SHOWN, HOT, MORE, LESS, HOT_MEMORY = 0.5, 0.25, 6.91, 4.5, 2.29, 8.0
 
 
@@ -143,6 +144,7 @@ class Pixel:
         middle = begin + (end - begin) // 2
         return {"h": h - gain @ light, "light": light, "around": 0.0,
                 "open": self.open_event(middle, max(known, middle)),
+                "at_end": self.open_event(end, max(known, end)),
                 "variance": self.part(middle, max(known, middle))[2]}
 
 
@@ -163,15 +165,36 @@ class Level:
     """State (L, g-, g+) of a pixel at the last frame, and its covariance."""
 
     def __init__(self, gain):
-        self.x, self.P, self.sampled = np.array([0.0, *gain]), np.zeros((3, 3)), False
-        self.hot = self.motion = 0.0
+        self.x, self.P = np.array([0.0, *gain]), np.zeros((3, 3))
+        self.sampled = 0
+        self.hot = self.motion = self.slope = self.bend2 = 0.0
+        self.back = self.spare = 0.0
 
     def update(self, a, b, seconds, z, r, m):
-        """Pass from frame a to frame b, whose sample is z with variance r.  (12)"""
+        """Pass from frame a to frame b, whose sample is z with variance r."""
+        before = self.x[0]
+        self.join(a, b, seconds, z, r, m)
+        if z is None:
+            return
+        if self.sampled:        # (14)
+            moved = self.x[0] - before
+            passed = abs(b["light"] - a["light"])
+            against = passed[int(moved < 0)]
+            self.spare += (passed.sum() - abs(moved) - self.spare) / self.sampled
+            self.back += (against - self.back) / self.sampled
+            slope = moved / seconds
+            if self.sampled > 1:
+                bend = (slope - self.slope) / seconds
+                self.bend2 += (bend ** 2 - self.bend2) / (self.sampled - 1)
+            self.slope = slope
+        self.sampled = min(self.sampled + 1, HOT_MEMORY)
+
+    def join(self, a, b, seconds, z, r, m):
+        """Predict, and update.  (12)"""
         beta = m.noise[1]
         if not self.sampled:
             if z is not None:
-                self.x[0], self.sampled = z, True
+                self.x[0] = z
                 moved = beta / 4 * bool(np.any(b["light"]))
                 self.P = np.diag([r + moved, m.spread ** 2, m.spread ** 2])
             return
@@ -339,21 +362,28 @@ class Filter:
                 looked[anchor is None:], said[1:], said, strict=False):
             self.differ(nodes, new, old, levels)
         now = np.zeros((3, *self.shape))
-        out = np.zeros((2, *self.shape))
+        out = np.zeros((3, *self.shape))
         for at, p in np.ndenumerate(self.pixels):
             level, hot = levels[at], levels[at].hot > HOT
             node = here[at] if here is not None else None
             b, v = self.back(later, looked, level, at)
-            J, V, t_around = self.at(t, p, level, node, anchor, b, v,
-                                     later[0] if later else None,
-                                     looked[0][at] if later else None, at)
-            out[(slice(None), *at)] = J, V
+            f = later[0] if later else None
+            after = looked[0][at] if later else None
+            if after is not None and after["at_end"] is not None:
+                k = p.last(after["at_end"]) + 1     # a silence that has ended since
+                if k < len(p.t) and p.t[k] <= seen:
+                    after = {**p.node(*self.exposure(f, at), self.sample(f, at)[0],
+                                      p.t[k], self.about[id(f)][at]),
+                             "around": after["around"]}
+            *values, t_around = self.at(
+                t, p, level, node, anchor, b, v, f, after, at)
+            out[(slice(None), *at)] = values
             if not hot:
                 now[(slice(None), *at)] = p.around(
                     t_around, t_around + self.ahead, self.ahead)
                 if then is not None:
                     now[(slice(None), *at)] -= then[(slice(None), *at)]
-        log, variance = out[0] + mean_around(now), out[1]
+        log, variance = out[0] + out[2] * mean_around(now), out[1]
         return log, variance
 
     def add(self, which, levels):
@@ -409,9 +439,13 @@ class Filter:
         while knot * KNOT <= since:
             knot *= KNOT
         t0, t1 = (p.t[k] + int(1e6 * one) for one in (knot, knot * KNOT))
+        if v > 0 and level.sampled:     # the line (14) ends at both frames
+            t0 = max(t0, self.mid(anchor, at)) if self.mid(anchor, at) < t else t0
+            t1 = min(t1, self.mid(later, at)) if self.mid(later, at) > t else t1
         ends = [np.array(self.exact(x, x + ahead, t, p, level, node, anchor, b, v,
                                     later, after, at)) for x in (t0, t1)]
-        return *(ends[0] + (t - t0) / (t1 - t0) * (ends[1] - ends[0])), t0
+        J, V, _ = ends[0] + (t - t0) / (t1 - t0) * (ends[1] - ends[0])
+        return J, V, ends[0][2], t0
 
     def exact(self, t, known, event_t, p, level, node, anchor, b, v, later, after, at):
         m, hot = self.m, level.hot > HOT
@@ -436,7 +470,7 @@ class Filter:
         d1 = light - node["light"] if node is not None else c
         d2 = after["light"] - light if after is not None else c
         n1, n2 = (0 if hot else (abs(d) / m.theta).sum() for d in (d1, d2))
-        has1, has2 = level.sampled, v > 0
+        has1, has2 = level.sampled > 0, v > 0
         n1, n2 = n1 * has1, n2 * has2
         each = beta / 2 * min(n1 + n2, 1) / (n1 + n2) if n1 + n2 else 0.0
         common = 0.0
@@ -468,8 +502,30 @@ class Filter:
         elif has1 or has2:
             J, V = (J + J1, V1) if has1 else (J + J2, V2)
         else:
-            return 0.0, 1e3
+            return 0.0, 1e3, 1.0
         if slope:
             ahead = p.lead(slope, max(math.exp(J) - m.black, 1e-3))
             J += ahead
-        return J, V + extra
+        V += extra
+        if level.sampled < 2 or v <= 0 or hot:
+            return J, V, 1.0
+        # The straight line between both frames.  (14)
+        seconds = 1e-6 * (self.mid(later, at) - self.mid(anchor, at))
+        s = 1e-6 * (t - self.mid(anchor, at)) / seconds
+        moved = b - level.x[0]
+        line = level.x[0] + s * moved
+        s = min(max(s, 0), 1)
+        own = V - (1 - s) ** 2 * level.P[0, 0] - s ** 2 * v
+        if own <= 0:
+            return J, V, 1.0
+        bend = (moved / seconds - level.slope) / seconds
+        passed = abs(d1 + d2)
+        against = passed[int(moved < 0)]
+        back = level.back + (against - level.back) / level.sampled
+        spare = level.spare + (
+            passed.sum() - abs(moved) - level.spare) / level.sampled
+        both = own + max(bend ** 2, level.bend2) * (
+            seconds ** 2 * s * (1 - s)) ** 2 + max(back, spare) ** 2
+        share = (own / both) ** 2 / (1 + ((J - line) ** 2 / (DOUBTFUL * both)) ** 2)
+        V += share * (share * both - 2 * own)
+        return J + share * (line - J), V, 1 - share

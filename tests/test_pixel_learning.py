@@ -10,6 +10,7 @@ import pytest
 from pdavis_cv import ApsFrame, _kernels, fuse
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.export.files import write_json
+from pdavis_cv.pixel.frame_noise import learned_frame_noise
 from pdavis_cv.pixel.learn import LearnedPixels, Priors, learn
 from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.pixel.sample import PAST_DTYPE, PixelSample
@@ -86,6 +87,34 @@ def test_learning_is_deterministic():
                   for _ in range(2))
     assert one.model == other.model
     assert one.clock_offset_us == other.clock_offset_us
+
+
+def still_frames(read, shot, *, low=50.0, wave=0.0, seed=0):
+    """Return a sample of 20 frames of 8x8 pixels, in light that goes to and fro."""
+    rng = np.random.default_rng(seed)
+    light = rng.uniform(low, 8 * low, SIZE)
+    sample = PixelSample(SIZE)
+    for k in range(20):
+        dn = light * (1 + wave * np.sin(0.3 * k))
+        sample.add_frame(ApsFrame(
+            rng.normal(dn, np.sqrt(read + shot * dn)), 50_000 * k, 50_000 * k + 9000))
+    return sample.sampled()
+
+
+@pytest.mark.parametrize("wave", [0.0, 0.1])
+def test_the_noise_of_frames_is_their_own(wave):
+    found = learned_frame_noise(
+        still_frames(8.0, 0.03, wave=wave), PixelModel(theta=np.array([0.2, 0.2])))
+    for dn in (100, 200, 300):
+        assert found.read_variance + found.shot * dn == pytest.approx(
+            8 + 0.03 * dn, rel=0.15)
+
+
+@pytest.mark.parametrize("frames", [
+    {"read": 100.0, "shot": 0.1}, {"read": 8.0, "shot": 0.03, "low": 3.0}])
+def test_more_noise_than_usual_is_light_and_in_dim_light_none_is_learned(frames):
+    model = PixelModel(theta=np.array([0.2, 0.2]))
+    assert learned_frame_noise(still_frames(**frames), model) == model
 
 
 def twin(t, sign, at):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv.pixel import features
+from pdavis_cv.pixel.frame_noise import learned_frame_noise
 from pdavis_cv.pixel.model import SHORT_US, PixelModel
 from pdavis_cv.pixel.rows import (
     Floats,
@@ -213,7 +214,7 @@ def learn(
     """
     data = sample.sampled()
     clock, of_clock = priors.clock_us
-    prior = model = prior_model(priors, lookahead_us)
+    prior = model = learned_frame_noise(data, prior_model(priors, lookahead_us))
     gains = np.zeros((2, len(data.start) - 1))
     told = 0.0 if of_clock else clock   # an offset needs evidence, or to be known
     fit = _Fit(model, told, 0.0, gains, {})
@@ -596,5 +597,3 @@ def _step(
     return _changed(fit, sigmas={
         **found, "off": float(sigma[0] / fit.model.theta[0]),
         "on": float(sigma[1] / fit.model.theta[1])})
-
-

@@ -24,6 +24,7 @@ from pdavis_cv.reconstruct.base import (
 from pdavis_cv.reconstruct.kalman.frames import (
     ANCHOR_DTYPE,
     COURSE_DTYPE,
+    NODE_DTYPE,
     SHOWN_DTYPE,
     Waiting,
     between,
@@ -46,7 +47,7 @@ _REACH_US = 5_000 - round(1e6 * min(LAGS_S))    # how far back events count, us
 _AHEAD_US = round(1e6 * max(LAGS_S))
 _LATE_US = 500_000      # how late a frame may come, us
 _GAINS_PER_US = 1e-4    # relative error of gains by that of stamps: a tenth per ms
-_PLANES, _PIXEL_NS = 5, 100.0   # of an image in the making; ns by listed pixel
+_PLANES, _PIXEL_NS = 6, 100.0   # of an image in the making; ns by listed pixel
 # As PD_UNKNOWN, PD_PRIOR_ODDS, PD_NEVER, PD_CHANGED and PD_QUIET of _increments.h.
 _UNKNOWN, _HOT, _NO_TIME = 1e3, 6.91, 1 << 62
 _CHANGED, _QUIET = -_NO_TIME, -_NO_TIME - 1
@@ -160,6 +161,7 @@ class KalmanFilter(Reconstructor):
         # What an image is made of: see `increments_move`.
         self._shown = np.zeros(self.shape, SHOWN_DTYPE)
         self._courses: Records | None = None
+        self._ended = np.zeros(self.shape, NODE_DTYPE)
         self._planes = np.zeros((_PLANES, *self.shape), np.float32)
         self._around = np.zeros((3, *self.shape), np.float32)
         self._hot: NDArray[np.bool_] | None = None
@@ -174,6 +176,7 @@ class KalmanFilter(Reconstructor):
         """Invalidate what is made for reads."""
         self._back: NDArray[np.float32] | None = None
         self._fresh, self._hot = False, None
+        self._ended["around_t"] = 0
         self._scratch: tuple[int, int, KalmanFilter] | None = None
         store, lit = self._store, self._lit
         last = store.pixels["newest"]
@@ -489,7 +492,8 @@ class KalmanFilter(Reconstructor):
         fresh = not self._fresh
         if fresh:
             anchor = self._frames[0] if self._passed else None
-            self._sight = (*between(anchor, later, self.shape, t), self._anchors,
+            self._sight = (*between(
+                anchor, later, self._ended, self.shape, t), self._anchors,
                            self._back, next((f.mid_us for f in self._frames), t))
             self.workers.rows(
                 self.shape[0], lambda *rows: _kernels.increments_rest_planes(

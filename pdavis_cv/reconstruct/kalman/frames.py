@@ -21,13 +21,15 @@ NODE_DTYPE = np.dtype([
     ("around_t", "<i8"), ("open_variance", "<f4")], align=True)
 ANCHOR_DTYPE = np.dtype([
     ("log", "<f4"), ("gain", "<f4", 2), ("p", "<f4", _COVARIANCES), ("hot", "<f4"),
-    ("motion", "<f4"), ("sampled", "<f4")])
+    ("motion", "<f4"), ("sampled", "<f4"), ("slope", "<f4"), ("bend2", "<f4"),
+    ("back", "<f4"), ("spare", "<f4")])
 SHOWN_DTYPE = np.dtype([
     ("last", "<i8"), ("next", "<i8"), ("ahead", "<f4"), ("behind", "<f4"),
     ("p_ahead", "<f4"), ("p_behind", "<f4"), ("common", "<f4"), ("theta", "<f4", 2),
     ("corner", "<f4"), ("before", "<f4"), ("next_weight", "<f4"), ("drift", "<f4"),
-    ("extra", "<f4"), ("opened", "<f4"), ("sign", "i1"), ("next_sign", "i1"),
-    ("context", "i1"), ("state", "i1")], align=True)
+    ("extra", "<f4"), ("opened", "<f4"), ("back", "<f4"), ("passed", "<f4"),
+    ("sign", "i1"), ("next_sign", "i1"), ("context", "i1"), ("state", "i1")],
+    align=True)
 COURSE_DTYPE = np.dtype([
     ("until", "<i8"), ("origin", "<i8"), ("last", "<i8"), ("level", "<f8", 3),
     ("rise", "<f4", 3), ("bend", "<f4", 3), ("open", "<f4", (3, 3)), ("before", "<f4"),
@@ -96,8 +98,9 @@ class Waiting:
 
 
 def between(
-    before: Waiting | None, later: list[Waiting], shape: tuple[int, int], t_us: int
-) -> tuple[object, object, NDArray[np.float64], bool]:
+    before: Waiting | None, later: list[Waiting], ended: Records,
+    shape: tuple[int, int], t_us: int,
+) -> tuple[object, object, Records, NDArray[np.float64], bool]:
     """Return frames before and after a time, as kernels take them, and their middles.
 
     A frame before that is not there has no sample.  Last is whether only one is after.
@@ -110,7 +113,7 @@ def between(
         np.zeros((*shape, 2), np.float32), np.zeros((3, shape[1]), np.int64), 1,
         later[0].around if later else np.zeros((3, *shape))
     ) if before is None else before.arrays
-    return arrays, later[0].arrays if later else None, middles, len(later) < 2
+    return arrays, later[0].arrays if later else None, ended, middles, len(later) < 2
 
 
 def thresholds_of(
