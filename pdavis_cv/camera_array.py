@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = ["AnalyserArray"]
 
 _PIXELS = 1 << 20
-"""More pixels are binned before images are aligned."""
+"""Pixels that suffice: an image of four times as many is binned to be aligned."""
 _FINE, _COARSE = 1.0, 8.0
 """Widths (sigma) of the band of detail that is compared, pixels."""
 _ROUNDS, _ENOUGH = 30, 1e-3

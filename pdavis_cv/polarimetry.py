@@ -31,7 +31,6 @@ from pdavis_cv.stokes_vector import (
 __all__ = ["PolarFrame", "polarization"]
 
 _Sigmas = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
-_Made = Callable[[], NDArray[np.float32]]
 
 
 class PolarFrame(Advises):
@@ -96,7 +95,7 @@ class PolarFrame(Advises):
     _reconciled: bool
     _origin: PolarFrame | None
     _aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None
-    _sigmas: _Sigmas | NDArray[np.float32] | _Made | None
+    _sigmas: _Sigmas | NDArray[np.float32] | Callable[[], NDArray[np.float32]] | None
     _stokes: tuple[
         NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]] | None
     _usable: NDArray[np.bool_] | None
@@ -141,7 +140,7 @@ class PolarFrame(Advises):
         quality: NDArray[np.float32] | None = None,
         reconciled: bool = False,
         aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None,
-        sigmas: NDArray[np.float32] | _Made | None = None,
+        sigmas: NDArray[np.float32] | Callable[[], NDArray[np.float32]] | None = None,
     ) -> Self:
         """Make a PolarFrame that takes ownership of the arrays without copying them.
 
