@@ -120,6 +120,7 @@ def pytest_runtest_setup(item):
     Tests that take long, those of the lab, and those marked `accuracy` learn as users
     do.
     """
+    from pdavis_cv.fusion import learning
     from pdavis_cv.pixel import learn, rows
 
     whole = item.path.parent != ROOT / "tests" or any(
@@ -129,7 +130,9 @@ def pytest_runtest_setup(item):
             (learn, "MOST_TRIED", 400), (learn, "MOST_FURTHER", 400),
             (rows, "MOST_ROWS", 1000)):
         usual = _USUAL.setdefault(name, getattr(module, name))
-        setattr(module, name, usual if whole else few)
+        if getattr(module, name) != (usual if whole else few):
+            setattr(module, name, usual if whole else few)
+            learning._kept.clear()      # of recordings that tests share
 
 
 _USUAL = {}
