@@ -93,11 +93,11 @@ def test_random_seeks_equal_sequential_reading(ideal, method, grid, n):
 def test_random_seeks_in_a_real_recording(data_dir, method):
     method, n = quick(method, 100)
     with VideoCapture(data_dir / "davis346.aedat4", **method,
-                      fps=60, layout=Layout.PDAVIS, roi=(90, 70, 100, 72)) as cap:
+                      fps=60, layout=Layout.PDAVIS, roi=(90, 70, 120, 96)) as cap:
         cap._session.cursor.spacing_us = 200_000  # 2 s would give one snapshot
         check_random_seeks(cap, n)
-        # Fewer of those that are large: offline, of the whole sensor.
-        assert len(cap._session.cursor.kept) >= 5
+        # Fewer of those that are large, up to 50 MB each of 256.
+        assert len(cap._session.cursor.kept) >= 3
 
 
 @pytest.mark.gate
