@@ -37,8 +37,8 @@ __all__ = ["IsolatedRecording"]
 _MOST_TEXT = 16 << 20
 """Bytes of an answer beside its arrays."""
 _SECONDS, _BYTES_PER_S = 10, 1e6
-"""Time of a processor for an answer, and bytes of the file that each second adds.  The
-slowest reader does 10 MB in one."""
+"""Time of a processor for an answer, and bytes of the file that each second adds.  A
+choice."""
 _SERVE = ("import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
           "from pdavis_cv.recording.isolated_reader import serve; "
           "serve(*map(int, sys.argv[2:]))")
@@ -157,9 +157,12 @@ class IsolatedRecording(Recording):
         return str(self._source if self._path is None else self._path)
 
     def _died(self) -> RecordingError:
-        code = self._process.wait()
+        try:
+            code = self._process.wait(1)
+        except subprocess.TimeoutExpired:   # it sent too much, or closed its pipe
+            code = 0
         self._end()
-        how = (f"took more than {_SECONDS} s for an answer" if code == -signal.SIGXCPU
+        how = ("took too much time for an answer" if code == -signal.SIGXCPU
                else f"died ({signal.Signals(-code).name})" if code < 0 else "ended")
         return RecordingError(f"{self._where()}: the process that reads it {how}: the "
                               "file is damaged")

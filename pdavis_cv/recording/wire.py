@@ -101,9 +101,10 @@ def read(text: bytes, memory: memoryview) -> Any:
         if kind == "array":
             which, shape, at, writeable = rest
             dtype = _DTYPES[which]
-            array = np.empty(shape, dtype)
-            array.reshape(-1).view(np.uint8)[:] = np.frombuffer(
+            data = np.frombuffer(
                 memory, np.uint8, math.prod(shape) * dtype.itemsize, at)
+            array = np.empty(shape, dtype)
+            array.reshape(-1).view(np.uint8)[:] = data
             array.flags.writeable = writeable
             return array
         return _MADE[kind](**{name: made(one) for name, one in rest.items()})
