@@ -166,7 +166,7 @@ def _opencv():
             r"^(CAP_PROP_PDAVIS_\w+) = (\d+) +# (.*)$", source, re.M):
         properties.append((f"``{name}``", number, _yes(text.startswith("set: ")),
                            text.removeprefix("set: ")))
-    flags = {getattr(constants, name): f"``{name}``" for name in constants.__all__
+    flags = {getattr(constants, name): f"``{name}``" for name in vars(constants)
              if name.startswith("CAP_PDAVIS_")}
     rows = [("flag", "name", "value", "what")]
     for number, name in enumerate(outputs()):

@@ -17,8 +17,6 @@ from pdavis_cv import PolarFrame, export, fuse, render
 from pdavis_cv.render import Picture, ToneCurve
 from pdavis_cv.simulation import Camera, Fan
 
-__all__ = ["main"]
-
 RPM = 200
 _SIZE = (260, 346)
 _SECONDS = 0.4

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from pdavis_cv import PolarFrame
 from pdavis_cv.analysis import axial_difference
 
-__all__ = ["Score", "Scorer"]
-
 FloatArray = NDArray[np.float64]
 
 

@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from pdavis_cv.registry import instead
 
-__all__ = ["ADVICE", "Advises"]
-
 _ITERATOR: Mapping[str, str] = {
     "[] read get_frame": "it is an iterator: loop over it, or call next()",
     "len": "without a rate, or an end in the file's header, count the images",

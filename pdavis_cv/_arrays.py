@@ -13,8 +13,6 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["array_header", "read_arrays"]
-
 _ZIP = b"PK\x03\x04"
 MOST_HEADER = 10_000
 """Longest header of an array, bytes: NumPy's own limit, but before it is read."""

@@ -19,8 +19,6 @@ try:
 except ImportError:     # Windows
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["Place", "Unfinished", "clear", "sole", "takes_bytes", "write_beside"]
-
 
 class Place:
     """The place of an output: a file, or a pipe or device that takes its bytes.

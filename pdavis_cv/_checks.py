@@ -12,10 +12,6 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from pdavis_cv._types import Image
 
-__all__ = ["MOST_ANGLE", "MOST_FPS", "MOST_RPM", "MOST_SIDE", "checked_rate",
-           "checked_threshold", "floats", "output", "place", "plain", "positive",
-           "real_number", "sensor_shape", "whole_number"]
-
 MOST_SIDE = 65_536
 """Largest side of a sensor, pixels: coordinates of events have 16 bits."""
 MOST_ANGLE = 1e6

@@ -5,8 +5,6 @@ import importlib
 import importlib.util
 from typing import Any
 
-__all__ = ["native_capture", "opencv", "set_log_level"]
-
 
 def opencv() -> Any:
     """Return the module cv2, or raise an error that says how to install it.

@@ -11,8 +11,6 @@ from typing import Any, Self, TypeVar
 
 from pdavis_cv._types import Parameters
 
-__all__ = ["OptionFacts", "Options", "documented", "names_options", "option"]
-
 
 @dataclass(frozen=True)
 class OptionFacts:

@@ -11,8 +11,6 @@ from typing import Any, cast
 
 from pdavis_cv.errors import RecordingError
 
-__all__ = ["RemotePath", "as_path", "is_remote"]
-
 _BLOCK = 1 << 20
 """Bytes per request: 80 ms at 100 Mbit/s, a few times the latency of a request."""
 _KEPT = 32

@@ -5,8 +5,6 @@ import json
 import re
 from typing import Any
 
-__all__ = ["MOST_TEXT", "Shown", "for_script", "shown", "table_text"]
-
 MOST_TEXT = 2000
 """Most characters of an error or a warning."""
 _PLAIN = re.compile(r"[\n\t -~]*")

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Events", "Facts", "Image", "Parameters", "Records", "State"]
-
 Events = NDArray[np.void]
 """Events, shape (N,), of `EVENT_DTYPE`, or of a dtype that the docstring names."""
 

@@ -10,8 +10,6 @@ from functools import partial
 from itertools import pairwise
 from typing import Generic, TypeVar
 
-__all__ = ["LEAST_BAND_NS", "Begun", "Workers", "usable_cores"]
-
 LEAST_ROWS = 16
 """Smallest band, in rows, of work whose cost depends on what the pixels see."""
 

@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv._checks import floats, real_number
 from pdavis_cv.sensor import CHANNELS
 
-__all__ = ["Analyser", "stokes_gain"]
-
 
 class Analyser:
     """Responses of the four channels to the Stokes parameters, and their solution.

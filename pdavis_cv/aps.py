@@ -8,8 +8,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._checks import floats
 
-__all__ = ["LEAST_RESET_DN", "LEAST_SIGNAL_DN", "cds", "clip_level", "correct"]
-
 LEAST_RESET_DN = 384
 """Smallest valid reset, as in libcaer: below it, the column has not recovered."""
 

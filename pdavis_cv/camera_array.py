@@ -8,8 +8,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["AnalyserArray"]
-
 _PIXELS = 1 << 20
 """Pixels that suffice: an image of four times as many is binned to be aligned."""
 _FINE, _COARSE = 1.0, 8.0

@@ -11,8 +11,6 @@ from pdavis_cv import _kernels
 from pdavis_cv._types import Image
 from pdavis_cv.sensor import Layout
 
-__all__ = ["COLOURS", "COLOUR_METHODS", "COLOUR_REACH", "colour_mosaics", "joint"]
-
 COLOURS = ("red", "green", "blue")
 """The colours in the order of an array's planes."""
 

@@ -17,21 +17,6 @@ from pdavis_cv._checks import (
 )
 from pdavis_cv._types import Events
 
-__all__ = [
-    "EVENT_DTYPE",
-    "FAR",
-    "EventSlice",
-    "accumulate",
-    "as_events",
-    "bad_event",
-    "check_order",
-    "checked_time",
-    "slices",
-    "time_surface",
-    "timed_events",
-    "voxel_grid",
-]
-
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
 """Time in microseconds, column, row (0 at the top), polarity (1 = ON); 13 bytes."""
 

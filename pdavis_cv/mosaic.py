@@ -12,9 +12,6 @@ from pdavis_cv._types import Image
 from pdavis_cv.colour_mosaic import COLOUR_METHODS, colour_mosaics
 from pdavis_cv.sensor import Layout
 
-__all__ = ["DEMOSAIC_METHODS", "HALF_SIZE", "demosaic", "demosaic_valid",
-           "demosaic_variance"]
-
 DEMOSAIC_METHODS = ("bilinear", "superpixel", "binned", "guided")
 """Values of the ``demosaic`` arguments."""
 

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from pdavis_cv._types import Image
 
-__all__ = ["PACKINGS", "unpack"]
-
 # Packing -> (bits of a pixel, pixels in a group, bytes of a group).
 _GROUPS = {"10p": (10, 4, 5), "12p": (12, 2, 3),
            "10packed": (10, 2, 3), "12packed": (12, 2, 3)}

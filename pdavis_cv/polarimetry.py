@@ -28,8 +28,6 @@ from pdavis_cv.stokes_vector import (
     stokes,
 )
 
-__all__ = ["PolarFrame", "polarization"]
-
 _Sigmas = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 
 

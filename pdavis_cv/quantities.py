@@ -17,8 +17,6 @@ from numpy.typing import DTypeLike, NDArray
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.registry import Registry
 
-__all__ = ["GROUPS", "INTENSITY", "QUANTITIES", "Quantity", "chosen", "quantity"]
-
 INTENSITY = "DN/ms"
 """Unit of intensities; 1 in their range is full scale of the converter."""
 _VARIANCE = "a method that knows its variance, such as kalman"

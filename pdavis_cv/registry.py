@@ -19,8 +19,6 @@ from pdavis_cv.errors import PdavisWarning
 if TYPE_CHECKING:   # it loads the e-mail package, which takes 20 ms
     from importlib.metadata import EntryPoint
 
-__all__ = ["Registry", "UnknownNameError", "instead", "loaded", "nearest"]
-
 T = TypeVar("T")
 
 

@@ -8,8 +8,6 @@ from typing import ClassVar
 
 from pdavis_cv.errors import LayoutError, LayoutWarning
 
-__all__ = ["CHANNELS", "SENSORS", "Layout", "Sensor", "resolve_layout"]
-
 CHANNELS = (0, 45, 90, 135)
 """Polarizer angle in degrees of each plane of a (4, H, W) array."""
 

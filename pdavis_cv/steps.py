@@ -14,8 +14,6 @@ from pdavis_cv.analyser import Analyser
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.stokes_vector import propagated, stokes
 
-__all__ = ["AnalyserSteps"]
-
 _LEAST_TO_FIND = 5
 """Images that determine an ellipse, on which those of unknown angles lie."""
 _PIXELS = 1 << 16       # of which angles are found

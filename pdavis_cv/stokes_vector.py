@@ -11,8 +11,6 @@ from pdavis_cv import _kernels
 from pdavis_cv._checks import output
 from pdavis_cv.analyser import Analyser, stokes_gain
 
-__all__ = ["aop", "debias_dolp", "dolp", "stokes"]
-
 _Array = TypeVar("_Array", bound=NDArray[Any])
 
 UNIFORM_SIGMA_RAD = math.pi / math.sqrt(12)
@@ -248,6 +246,7 @@ def solution_of(
     extinction_ratio: float | None,
     shape: tuple[int, ...],
 ) -> NDArray[np.float32] | None:
+    """Return what solves for S0, S1, S2, or None for the ideal formulas."""
     if analyser is None:
         return None
     if extinction_ratio is not None:
@@ -286,5 +285,6 @@ def flat(planes: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def frozen(array: _Array) -> _Array:
+    """Return the array, made read-only."""
     array.flags.writeable = False
     return array

@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv.steps import AnalyserSteps
 
-__all__ = ["PulseClock", "TurningAnalyser"]
-
 _LEAST_RPM, _MOST_RPM = 0.1, 60_000.0
 _MOST_PULSES = 4096
 _LOOSE = 0.25

@@ -366,7 +366,7 @@ def test_a_stage_tells_for_how_long_it_goes_on(capsys, monkeypatch):
     @_common.command
     def slow(argv=None):
         _common.Parser("slow", "", "").parse_args(argv)
-        _common.stage("learning")
+        _progress.stage("learning")
         deadline = time.monotonic() + 30
         while "learning: " not in "".join(said) and time.monotonic() < deadline:
             said.append(capsys.readouterr().err)

@@ -18,9 +18,8 @@ from pdavis_cv.calibration.thresholds import resolve_thresholds
 from pdavis_cv.render.colours import Picture
 from pdavis_cv.sensor import resolve_layout
 
-from ._common import UsageError, covered, progress
-
-__all__ = ["SUFFIXES", "export_aop_events"]
+from ._common import UsageError, covered
+from ._progress import progress
 
 COLUMNS = ("t_us", "x", "y", "aop_deg")
 MOVING = (".webm", ".mp4", ".m4v", ".mkv", ".avi", *export.ANIMATIONS)

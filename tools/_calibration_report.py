@@ -13,8 +13,6 @@ from pdavis_cv._types import Image
 
 from ._common import can_draw
 
-__all__ = ["Page", "write_report"]
-
 
 @dataclass
 class Page:

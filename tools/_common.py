@@ -21,31 +21,10 @@ from pdavis_cv.registry import nearest
 
 from ._flags import flags
 from ._interrupts import interruptible
-from ._progress import AlwaysProgress, own_progress, progress, progress_in_time, stage
+from ._progress import AlwaysProgress, own_progress
 
 if TYPE_CHECKING:  # `command` must handle an interrupt while NumPy is imported
     from pdavis_cv import Recording
-
-__all__ = [
-    "OneLineParser",
-    "Parser",
-    "UsageError",
-    "add_json_option",
-    "can_draw",
-    "checked_out",
-    "command",
-    "covered",
-    "for_people",
-    "in_flags",
-    "progress",
-    "progress_in_time",
-    "require_samples",
-    "stage",
-    "start_of",
-    "tell",
-    "tell_now",
-]
-
 
 TRACEBACK = "PDAVIS_CV_TRACEBACK"
 _ARGUMENT = re.compile(

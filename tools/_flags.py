@@ -23,9 +23,6 @@ from ._values import (
 if TYPE_CHECKING:  # `command` must handle an interrupt while NumPy is imported
     from pdavis_cv._options import OptionFacts, Options
 
-__all__ = ["WORDS", "add_offered", "flag_of", "flags", "fusion_options", "offered",
-           "source_options"]
-
 
 def add_offered(
     group: argparse._ArgumentGroup, options: Iterable[tuple[str, OptionFacts]]

@@ -29,18 +29,6 @@ from ._common import UsageError, covered
 
 _SCREEN = 480, 1280     # rows that an image should have, columns it may have
 
-__all__ = [
-    "facts_of",
-    "full_scale",
-    "grid_times",
-    "held_at",
-    "of_frames",
-    "screen_scale",
-    "told_if_nothing",
-    "tone_of",
-    "warn_of_nothing",
-]
-
 
 def grid_times(
     recording: Recording, fps: float, start_us: int | None, stop_us: int | None

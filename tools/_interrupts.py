@@ -10,8 +10,6 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
-__all__ = ["ended_by_signals", "interruptible"]
-
 _ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP")
            if hasattr(signal, name)]
 RETRY_S = 0.05

@@ -17,21 +17,6 @@ if TYPE_CHECKING:  # `command` must handle an interrupt while NumPy is imported
     from pdavis_cv import Calibration, Recording, Source, TurningAnalyser
     from pdavis_cv.recording.open import AnySource
 
-__all__ = [
-    "add_file",
-    "add_fuse_options",
-    "add_source_options",
-    "analyser_given",
-    "calibration_of",
-    "fuse_options",
-    "fusion_given",
-    "opened",
-    "option_value",
-    "source_given",
-    "source_of",
-    "together",
-]
-
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 

@@ -9,9 +9,6 @@ from collections.abc import Iterable, Iterator
 from contextvars import ContextVar
 from typing import Any, ClassVar
 
-__all__ = ["AlwaysProgress", "asked_for", "no_progress", "own_progress", "progress",
-           "progress_in_time", "stage"]
-
 _ALWAYS: ContextVar[bool] = ContextVar("_ALWAYS", default=False)
 """Whether --progress was given to this command or to the one that calls it."""
 _NEVER: ContextVar[bool] = ContextVar("_NEVER", default=False)

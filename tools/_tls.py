@@ -6,8 +6,6 @@ import ssl
 
 from ._common import UsageError
 
-__all__ = ["add_tls_options", "tls_of"]
-
 
 def add_tls_options(parser: argparse.ArgumentParser, clients: str) -> None:
     """Add the options that name certificates.

@@ -8,26 +8,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pdavis_cv import Layout, Limits
 
-__all__ = [
-    "LAST_SEED",
-    "layout_option",
-    "limits_option",
-    "number",
-    "numbers",
-    "offset",
-    "pair",
-    "positive",
-    "ratio",
-    "roi_option",
-    "seconds",
-    "setting",
-    "since_start",
-    "size_option",
-    "thresholds",
-    "whole",
-    "within",
-]
-
 MOST = 1e18
 """Largest magnitude of numbers of options: larger ones are mistakes, and integers up to
 it fit into 64 bits."""

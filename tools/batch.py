@@ -25,8 +25,6 @@ from ._options import add_source_options, option_value, source_given
 from ._progress import asked_for
 from ._values import positive, within
 
-__all__ = ["main"]
-
 _MOST_WORKERS = 100_000
 
 

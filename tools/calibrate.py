@@ -29,7 +29,6 @@ from ._common import (
     checked_out,
     command,
     for_people,
-    stage,
     start_of,
     tell,
 )
@@ -41,9 +40,8 @@ from ._options import (
     opened,
     together,
 )
+from ._progress import stage
 from ._values import layout_option, number, numbers, positive, roi_option, within
-
-__all__ = ["main"]
 
 Found = tuple[dict[str, Any], Page]
 

@@ -9,18 +9,10 @@ from pdavis_cv.recording.facts import assumptions
 from pdavis_cv.recording.registry import FORMATS, writer_for
 from pdavis_cv.recording.stream import source_from_packets
 
-from ._common import (
-    Parser,
-    UsageError,
-    add_json_option,
-    checked_out,
-    command,
-    progress_in_time,
-    tell,
-)
+from ._common import Parser, UsageError, add_json_option, checked_out, command, tell
 from ._options import add_file, add_source_options, opened
+from ._progress import progress_in_time
 
-__all__ = ["main"]
 
 @command
 def main(argv: Sequence[str] | None = None) -> int:

@@ -26,10 +26,9 @@ from pdavis_cv.render import ToneCurve
 from pdavis_cv.simulation import Camera, RotatingPolarizer, Truth, example_truth
 
 from . import export as export_tool, fan as fan_tool
-from ._common import Parser, add_json_option, command, for_people, stage, tell
+from ._common import Parser, add_json_option, command, for_people, tell
 from ._options import opened
-
-__all__ = ["main", "mean_aop"]
+from ._progress import stage
 
 METHODS = ("frames", "kalman")
 _FAN = ("--fps", "100", "--slow", "5", "--scale", "4", "--start", "0.25",

@@ -16,8 +16,6 @@ from ._common import Parser, command
 from ._interrupts import ended_by_signals
 from ._values import positive
 
-__all__ = ["main"]
-
 
 @command
 def main(argv: Sequence[str] | None = None) -> int:

@@ -35,17 +35,14 @@ from ._common import (
     checked_out,
     command,
     covered,
-    progress,
     require_samples,
-    stage,
     start_of,
     tell,
 )
 from ._images import full_scale, screen_scale, told_if_nothing
 from ._options import add_file, add_fuse_options, fuse_options, opened
+from ._progress import progress, stage
 from ._values import numbers, positive, since_start, within
-
-__all__ = ["Sheet", "main"]
 
 _STACKS: dict[str, type[export.StackFile]] = {
     ".tif": export.OmeTiffFile, ".h5": export.Hdf5File, ".npz": export.NpzFile,

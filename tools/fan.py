@@ -24,8 +24,6 @@ from ._common import (
     add_json_option,
     checked_out,
     command,
-    progress,
-    stage,
     start_of,
     tell,
 )
@@ -40,9 +38,8 @@ from ._images import (
     tone_of,
 )
 from ._options import add_file, add_fuse_options, fuse_options, opened
+from ._progress import progress, stage
 from ._values import layout_option, number, numbers, seconds, within
-
-__all__ = ["main", "make_fan"]
 
 
 @command

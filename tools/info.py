@@ -22,8 +22,6 @@ from pdavis_cv.recording.facts import ASSUMED, FILE, Fact, assumptions
 from ._common import Parser, command, in_flags
 from ._options import add_file, add_source_options, opened
 
-__all__ = ["main"]
-
 _LEAST_OFFSET_US = 1000
 """Least offset of the clocks that is told, us: the pixels' lag looks like a smaller
 one."""

@@ -10,8 +10,6 @@ from pdavis_cv.registry import nearest
 
 from ._common import OneLineParser, UsageError, command
 
-__all__ = ["COMMANDS", "main"]
-
 # Description of each subcommand, which is pdavis_cv.tools.<name>.main(argv).
 COMMANDS = {
     "info": "show what a recording contains",

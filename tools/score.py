@@ -32,19 +32,10 @@ from pdavis_cv.export import write_csv, write_json
 from pdavis_cv.reconstruct.methods import METHODS, make_reconstructor
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 
-from ._common import (
-    Parser,
-    UsageError,
-    checked_out,
-    command,
-    progress,
-    start_of,
-)
+from ._common import Parser, UsageError, checked_out, command, start_of
 from ._options import add_file, add_source_options, calibration_of, opened
+from ._progress import progress
 from ._values import numbers, positive
-
-__all__ = ["Row", "Trial", "main", "predicted", "suited", "suited_for_polarization",
-           "trials"]
 
 _CELLS = CLASSES[-1]
 

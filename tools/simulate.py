@@ -23,18 +23,9 @@ from pdavis_cv.simulation import (
     named_scene,
 )
 
-from ._common import (
-    Parser,
-    UsageError,
-    add_json_option,
-    checked_out,
-    command,
-    progress_in_time,
-    tell,
-)
+from ._common import Parser, UsageError, add_json_option, checked_out, command, tell
+from ._progress import progress_in_time
 from ._values import LAST_SEED, number, numbers, positive, within
-
-__all__ = ["main"]
 
 _WHOLE = ("fan", "tendon", "texture")
 LONGEST_S = 1e6

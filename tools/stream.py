@@ -9,21 +9,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
-from ._common import (
-    Parser,
-    UsageError,
-    add_json_option,
-    command,
-    progress_in_time,
-    stage,
-    tell_now,
-)
+from ._common import Parser, UsageError, add_json_option, command, tell_now
 from ._interrupts import ended_by_signals
 from ._options import add_file, add_source_options, source_of
+from ._progress import progress_in_time, stage
 from ._tls import add_tls_options, tls_of
 from ._values import within
-
-__all__ = ["main"]
 
 
 @command

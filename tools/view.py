@@ -17,8 +17,6 @@ from ._options import add_file, add_fuse_options, fusion_given, source_of
 from ._tls import add_tls_options, tls_of
 from ._values import within
 
-__all__ = ["main"]
-
 
 @command
 def main(argv: Sequence[str] | None = None) -> int:

@@ -13,8 +13,6 @@ from ._common import Parser, UsageError, add_json_option, command, tell_now
 from ._interrupts import ended_by_signals
 from ._options import add_file, add_fuse_options, fusion_given, source_given
 
-__all__ = ["main"]
-
 
 @command
 def main(argv: Sequence[str] | None = None) -> int:

@@ -13,8 +13,6 @@ from pdavis_cv.reconstruct.weights import Weights
 
 from ._common import OneLineParser, Parser, UsageError, add_json_option, command, tell
 
-__all__ = ["main"]
-
 
 @command
 def main(argv: Sequence[str] | None = None) -> int:

@@ -15,8 +15,6 @@ from pdavis_cv.stokes_vector import aop, dolp, stokes
 
 from .cases import Comparison, case, mosaic_input
 
-__all__: list[str] = []
-
 AOP, DOLP = 0.7, 0.6
 
 

@@ -20,8 +20,6 @@ from pdavis_cv.recording.open import open_recording
 
 from .cases import EVENTS, SHAPE, Comparison, case, event_input
 
-__all__ = ["write_evt3"]
-
 PROMISED = 20e6
 """Events per CPU second."""
 MESSAGE = 20_000

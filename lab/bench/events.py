@@ -21,8 +21,6 @@ from .cases import (
 )
 from .floor import compiled_floor
 
-__all__: list[str] = []
-
 _THETA = 0.2
 
 

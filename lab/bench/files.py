@@ -32,8 +32,6 @@ from .cases import (
 )
 from .event_files import write_evt3
 
-__all__: list[str] = []
-
 KINDS = ("uniform", "clustered")
 SMALL, FRAMES = 80_000, 60
 """A second as a DAVIS346 in a calm scene gives it: small packets, many frames."""

@@ -25,8 +25,6 @@ from .cases import (
 )
 from .floor import compiled_floor
 
-__all__: list[str] = []
-
 THETA = 0.2
 KINDS = ("uniform", "clustered")
 

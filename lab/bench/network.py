@@ -11,8 +11,6 @@ from pdavis_cv.reconstruct.weights import Weights
 
 from .cases import Comparison, case
 
-__all__: list[str] = []
-
 _STEPS, _SIZE = 20, (13, 17)
 
 

@@ -18,8 +18,6 @@ from pdavis_cv.recording.memory import recording_from_arrays
 from .cases import EVENTS, PACKET, SHAPE, Comparison, case, event_input
 from .floor import compiled_floor
 
-__all__: list[str] = []
-
 _TRANSFER = 1 << 17
 """Bytes of a USB transfer, neuromorphic-drivers' default."""
 

@@ -25,8 +25,6 @@ from pdavis_cv.simulation import (
     Texture,
 )
 
-__all__ = ["CASES", "NAMED", "PRESETS", "QUICK", "REAL", "Case"]
-
 PRESETS = ("nominal", "typical", "davis346", "realistic")
 
 Light = Callable[[int], Scene]

@@ -29,9 +29,9 @@ from pdavis_cv.tools._common import (
     checked_out,
     command,
     for_people,
-    progress,
     tell,
 )
+from pdavis_cv.tools._progress import progress
 from pdavis_cv.tools._values import within
 
 from .cases import CASES, NAMED, PRESETS, QUICK, REAL

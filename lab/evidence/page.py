@@ -12,8 +12,6 @@ from pdavis_cv import __version__
 
 from .run import AHEAD, DEFAULTS, Row
 
-__all__ = ["ERRORS", "Beaten", "beaten", "means", "page"]
-
 ERRORS = {"aop_deg": ("AoP", "{:.2f}"), "dolp": ("DoLP", "{:.3f}"),
           "moving": ("moving", "{:.3f}"), "in_cell": ("in cell", "{:.3f}")}
 """Column of `Row` -> its name, and how it is written."""

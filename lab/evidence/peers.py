@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["PEERS", "Image", "Stack", "held", "line", "polarization"]
-
 FloatArray = NDArray[np.float64]
 
 _EXTINCTION_RATIO = 40

@@ -33,8 +33,6 @@ from pdavis_cv.tools.score import Trial, trials
 from .cases import CASES, REAL
 from .peers import PEERS, Stack, line, polarization
 
-__all__ = ["AHEAD", "DEFAULTS", "Row", "known", "real_rows", "simulated_rows"]
-
 AHEAD = ("causal", "buffered", "offline")
 """What a method knows of what follows: nothing, some 50 ms, all."""
 

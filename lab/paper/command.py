@@ -26,10 +26,10 @@ from pdavis_cv.tools._common import (
     checked_out,
     command,
     for_people,
-    progress,
     tell,
 )
 from pdavis_cv.tools._options import calibration_of
+from pdavis_cv.tools._progress import progress
 from pdavis_cv.tools._values import (
     LAST_SEED,
     layout_option,

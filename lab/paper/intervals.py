@@ -6,8 +6,6 @@ from numpy.typing import NDArray
 
 from pdavis_cv._types import Events
 
-__all__ = ["events_by_phase", "pixel_intervals"]
-
 
 def pixel_intervals(events: Events, width: int) -> NDArray[np.int64]:
     """Return the times between consecutive events of each pixel.

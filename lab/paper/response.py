@@ -4,8 +4,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["response_table"]
-
 KNOTS = 33      # of each curve
 
 

@@ -10,8 +10,6 @@ from pdavis_cv.analyser import stokes_gain
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.sensor import CHANNELS, Layout
 
-__all__ = ["RotationFit", "fit_rotation"]
-
 _LEAST_FRAMES = 6
 # Smallest contrast left by the exposure's blur, relative; largest residual, rad.
 _LEAST_CONTRAST, _MOST_RESIDUAL = 0.1, 0.2

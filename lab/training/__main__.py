@@ -14,10 +14,9 @@ from pdavis_cv.tools._common import (
     checked_out,
     command,
     for_people,
-    progress,
-    stage,
     tell,
 )
+from pdavis_cv.tools._progress import progress, stage
 from pdavis_cv.tools._values import LAST_SEED, positive, within
 
 

@@ -23,8 +23,6 @@ from pdavis_cv.recording.open import open_recording
 from pdavis_cv.recording.options import source_part
 from pdavis_cv.recording.registry import suffixes
 
-__all__ = ["PdavisPlugin", "register"]
-
 _POS_FRAMES, _FPS, _FRAME_COUNT = 1, 5, 7
 
 

@@ -23,9 +23,6 @@ from pdavis_cv.render import aop_bgr
 if TYPE_CHECKING:
     import napari.types
 
-__all__ = ["fan", "fuse_recording", "get_reader", "read_recording", "read_stack",
-           "tendon"]
-
 Layer = tuple[NDArray[np.float32], dict[str, Any], str]
 
 _QUANTITIES = ("s0", "aop", "dolp")

@@ -15,8 +15,6 @@ from pdavis_cv.capture.video import CaptureKeywords
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.options import SourceOptions, source_part
 
-__all__ = ["patched_cv2"]
-
 
 @contextlib.contextmanager
 def patched_cv2(

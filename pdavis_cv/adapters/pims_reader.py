@@ -14,8 +14,6 @@ from pdavis_cv.capture.constants import CAP_PDAVIS_S0, CAP_PROP_PDAVIS_POS_US
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.registry import suffixes
 
-__all__ = ["PdavisSequence"]
-
 _POS_FRAMES, _FRAME_COUNT = 1, 7
 
 

@@ -12,12 +12,6 @@ from pdavis_cv.analysis.cycles import inflation
 from pdavis_cv.analysis.load import LoadTrace
 from pdavis_cv.errors import AnalysisWarning
 
-__all__ = [
-    "Clock",
-    "align_by_correlation",
-    "align_by_triggers",
-]
-
 FloatArray = NDArray[np.float64]
 
 _MOST_SKEW = 2e-3  # relative; real clocks differ by less

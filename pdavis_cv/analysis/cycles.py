@@ -7,9 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["LEAST_SEEN", "PhaseLaw", "design", "follow", "inflation", "noise_of",
-           "resolved", "suited"]
-
 FloatArray = NDArray[np.float64]
 
 _MOST_HARMONICS = 4

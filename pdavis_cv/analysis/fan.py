@@ -22,8 +22,6 @@ from pdavis_cv.events import FAR
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
 
-__all__ = ["SectorSummary", "Wheel", "summarise_sectors"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Wheel:

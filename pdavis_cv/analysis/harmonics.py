@@ -20,9 +20,6 @@ from pdavis_cv.analysis.cycles import PhaseLaw, design, noise_of
 from pdavis_cv.mosaic import demosaic
 from pdavis_cv.sensor import Layout
 
-__all__ = ["HarmonicFit", "Harmonics", "Wave", "fit_harmonics", "loop_area",
-           "mosaic_errors", "of_aop", "of_dolp", "specimen_errors"]
-
 FloatArray = NDArray[np.float64]
 Function = Callable[[FloatArray], FloatArray]
 

@@ -29,9 +29,6 @@ from pdavis_cv.recording.base import (
     RecordingInfo,
 )
 
-__all__ = ["CLASSES", "HALVES", "LeftOutFrames", "PredictionScore", "observed",
-           "pooled"]
-
 FloatArray = NDArray[np.float64]
 
 CLASSES = ("moving", "moving, bright", "moving, dark", "static, bright", "static, dark",

@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LoadTrace", "read_load"]
-
 FloatArray = NDArray[np.float64]
 
 _UNITS = {

@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv._checks import floats
 from pdavis_cv.errors import AnalysisWarning
 
-__all__ = ["birefringence", "retardance", "subtract_background"]
-
 FloatArray = NDArray[np.float64]
 
 # From here on the derivative of asin exceeds 3 and noise folds back at 1.

@@ -22,8 +22,6 @@ from pdavis_cv.analysis.harmonics import (
     of_dolp,
 )
 
-__all__ = ["Periodic", "fit_periodic"]
-
 FloatArray = NDArray[np.float64]
 
 _MOST_HZ = 500_000.0

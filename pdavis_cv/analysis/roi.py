@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Roi", "parse_roi", "read_rois"]
-
 _MOST_BYTES = 1 << 26
 """Largest size of all regions of an archive, bytes; one has a few hundred."""
 _UNSUPPORTED = ("LINE", "FREELINE", "POLYLINE", "NOROI", "ANGLE", "POINT")

@@ -11,8 +11,6 @@ from pdavis_cv.analysis.roi import Roi
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.sensor import Layout
 
-__all__ = ["event_hz", "trace_hz"]
-
 FloatArray = NDArray[np.float64]
 
 _BIN_US = 2000

@@ -15,16 +15,6 @@ from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.recording.base import Recording
 
-__all__ = [
-    "TRACE_DTYPE",
-    "TraceRecorder",
-    "Traces",
-    "axial_difference",
-    "event_counts",
-    "pixels_per_sample",
-    "region_statistics",
-]
-
 TRACE_DTYPE = np.dtype([
     ("t_us", "<i8"), ("pixels", "<i8"),
     ("i0", "<f8"), ("i45", "<f8"), ("i90", "<f8"), ("i135", "<f8"),

@@ -8,8 +8,6 @@ import numpy as np
 
 from pdavis_cv.polarimetry import PolarFrame
 
-__all__ = ["found_zero"]
-
 
 def found_zero(
     images: Iterable[PolarFrame], known: float, *, least_dolp: float = 0.1

@@ -28,8 +28,6 @@ from pdavis_cv.errors import PdavisWarning
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.recording.options import SourceOptions
 
-__all__ = ["plan", "run"]
-
 _PER_WORKER = 2     # submitted jobs per worker: one in work, one that waits
 _POLL_S = 0.5       # interval at which the run polls while nothing finishes
 _BROKEN_WAIT_S = 10.0   # time given to a broken executor's jobs to end

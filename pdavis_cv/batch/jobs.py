@@ -20,8 +20,6 @@ from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.sensor import Layout
 
-__all__ = ["Job", "Work", "changed_options", "describe"]
-
 _DIGITS = 12
 """Hexadecimal digits of the hash in a name: 48 bits.  The probability of a collision
 among 10^5 jobs is 2e-5."""

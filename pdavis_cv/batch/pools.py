@@ -9,8 +9,6 @@ from typing import Any
 
 from pdavis_cv._workers import usable_cores
 
-__all__ = ["EXECUTORS", "Pool", "pool_factory"]
-
 EXECUTORS = "process, dask:tcp://HOST:PORT or MODULE:FUNCTION"
 """The texts that `pool_factory` accepts, for error messages."""
 _UNKNOWN = 32

@@ -10,8 +10,6 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.connection import Connection
 from typing import Any
 
-__all__ = ["ProcessPool"]
-
 
 class ProcessPool(ProcessPoolExecutor):
     """A process pool that can be stopped at once, and stops when its parent dies.

@@ -22,8 +22,6 @@ try:
 except ImportError:  # Windows: two runs at the same time may both do a job
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["DONE", "FAILED", "Claim", "Results"]
-
 DONE, FAILED = "done", "failed"
 _BLOCK = 1 << 20
 _TRIES = 10

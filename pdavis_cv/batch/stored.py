@@ -15,8 +15,6 @@ from pdavis_cv._types import Facts
 from pdavis_cv.batch.results import Claim, Results
 from pdavis_cv.export.files import plain
 
-__all__ = ["StoredResults", "results_at"]
-
 
 class StoredResults(Results):
     """Results under a URL, e.g. ``s3://bucket/out``.

@@ -15,8 +15,6 @@ from pdavis_cv.batch.stored import results_at
 from pdavis_cv.batch.worker import Row
 from pdavis_cv.export.tables import write_csv
 
-__all__ = ["Table", "status"]
-
 _LAST = ("problems", "warnings", "attempt", "wall_s", "cpu_s", "peak_mib", "started",
          "host", "version", "name")
 _FIRST = ("recording", "state")

@@ -26,8 +26,6 @@ from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.facts import assumptions
 from pdavis_cv.recording.open import open_recording
 
-__all__ = ["Row", "failed_row", "perform"]
-
 Row = dict[str, Any]
 
 _PERMANENT = (PdavisError, TypeError, ValueError, ImportError, NotImplementedError)

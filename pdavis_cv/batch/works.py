@@ -27,19 +27,6 @@ if TYPE_CHECKING:   # imported by the workers only
     from pdavis_cv.polarimetry import PolarFrame
     from pdavis_cv.reconstruct.base import Estimate
 
-__all__ = [
-    "WORKS",
-    "Calibrate",
-    "Export",
-    "Score",
-    "Trace",
-    "both_halves",
-    "measured_parts",
-    "predicted",
-    "predicted_images",
-    "work_of",
-]
-
 _STACKS: dict[str, type[StackFile]] = {
     ".npz": export.NpzFile, ".h5": export.Hdf5File, ".ome.tif": export.OmeTiffFile}
 _PICTURE = "preview.png"

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.sensor import Layout
 
-__all__ = ["Finding", "check_recording"]
-
 _FLIPS = {"as they are": (1, 1), "mirrored left-right": (1, -1),
           "upside down": (-1, 1), "turned by 180 degrees": (-1, -1)}
 _FRAMES = 40            # that are used

@@ -7,8 +7,6 @@ from pdavis_cv.aps import correct, peak_width, pile_up
 from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["Clipping", "FrameCorrection"]
-
 
 @dataclass(frozen=True)
 class Clipping:

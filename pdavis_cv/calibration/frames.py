@@ -9,9 +9,6 @@ from numpy.typing import NDArray
 
 from pdavis_cv.recording.base import ApsFrame, Recording
 
-__all__ = [
-    "Dark", "Flat", "Mean", "dark_frame", "flat_frame", "frames_of", "mean_frame"]
-
 _MAD = 1.4826
 """Standard deviation of a normal distribution per median absolute deviation."""
 _SIGMAS = 6.0

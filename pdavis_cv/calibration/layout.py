@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from pdavis_cv.recording.base import Packet, Recording
 from pdavis_cv.sensor import CHANNELS, Layout
 
-__all__ = ["Candidates", "detect_layout"]
-
 _BIN_US = 1_000
 _PAIRINGS = (((0, 1), (2, 3)), ((0, 2), (1, 3)), ((0, 3), (1, 2)))
 

@@ -20,8 +20,6 @@ from pdavis_cv._types import Facts, Image
 from pdavis_cv.errors import CalibrationError
 from pdavis_cv.sensor import Layout
 
-__all__ = ["FORMAT_VERSION", "Calibration"]
-
 FORMAT_VERSION = 1
 """Version of the file format; files of a newer version are rejected."""
 

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv.calibration.frames import Mean, frames_of, mean_frame
 from pdavis_cv.recording.base import ApsFrame, Recording
 
-__all__ = ["Sweep", "SweepFit", "fit_sweep", "read_sweep", "steps_in_time"]
-
 _ROUNDS = 30
 """Most iterations of a fit."""
 _FULL_TURN = np.deg2rad(300)

@@ -14,9 +14,6 @@ from pdavis_cv.recording.base import Source
 from pdavis_cv.recording.facts import ASSUMED, CALIBRATION, CALLER, FILE
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 
-__all__ = ["checked_choice", "resolve_thresholds", "threshold_origin",
-           "thresholds_from_biases"]
-
 # kappa_n / (kappa_p^2 C1/C2) with kappa_n = kappa_p = 0.7 and C1/C2 = 20: Nozaki and
 # Delbruck, "Temperature and parasitic photocurrent effects in dynamic vision
 # sensors", IEEE Trans. Electron Devices 64 (2017), equations 4 and 5.

@@ -37,5 +37,3 @@ CAP_PROP_PDAVIS_WHITE = 94009        # S0 / 2 that is white at gain 1
 # OpenCV's own constants, equal in all versions: timeouts of a live source, ms.
 CAP_PROP_OPEN_TIMEOUT_MSEC = 53
 CAP_PROP_READ_TIMEOUT_MSEC = 54
-
-__all__ = [name for name in dir() if name.isupper()]

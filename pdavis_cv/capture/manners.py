@@ -9,15 +9,6 @@ from typing import Any, NoReturn, TypeVar, cast
 
 from pdavis_cv.errors import PdavisError
 
-__all__ = [
-    "StsBadArg",
-    "StsError",
-    "overloads",
-    "raise_like_cv2",
-    "type_code",
-    "unknown_property",
-]
-
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 StsError, StsBadArg = -2, -5

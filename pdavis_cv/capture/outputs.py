@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from pdavis_cv.capture import constants
 from pdavis_cv.quantities import GROUPS, QUANTITIES, Quantity, quantity
 
-__all__ = ["Output", "number_of", "output_at", "output_named", "outputs"]
-
 
 @dataclass(frozen=True)
 class Output:
@@ -67,7 +65,7 @@ def output_named(name: str) -> Output:
 def _fixed() -> tuple[Output, ...]:
     """Return the outputs whose numbers are constants, by number."""
     numbers = {getattr(constants, name): name.removeprefix("CAP_PDAVIS_")
-               for name in constants.__all__ if name.startswith("CAP_PDAVIS_")}
+               for name in vars(constants) if name.startswith("CAP_PDAVIS_")}
     return tuple(output_named(numbers[i]) for i in range(len(numbers)))
 
 

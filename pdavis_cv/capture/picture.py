@@ -13,9 +13,6 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.render import ToneCurve, fade_aop, quantity_bgr
 
-__all__ = ["colour", "event_counts", "events_bgr", "first_frame", "plane", "tone",
-           "white_level"]
-
 WHITE_WITHOUT_FRAMES = 2.0
 """Intensity shown as white if there are no frames; it then starts from 1."""
 

@@ -14,8 +14,6 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import nbytes
 from pdavis_cv.recording.base import Recording
 
-__all__ = ["Bookmark", "Cursor"]
-
 SPACING_US = 2_000_000
 """Recording time between two snapshots, before any are dropped, us."""
 

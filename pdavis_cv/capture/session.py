@@ -24,8 +24,6 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.recording.base import ApsFrame, Recording, Source
 from pdavis_cv.render import ToneCurve
 
-__all__ = ["FAILURES", "Session", "View"]
-
 FAILURES = (OSError, PdavisError, ValueError, ImportError)
 """Errors that reading may raise: damage, invalid values, a missing package."""
 

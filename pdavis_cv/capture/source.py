@@ -17,13 +17,6 @@ from pdavis_cv.recording.options import SourceOptions, source_part
 from pdavis_cv.recording.registry import is_recording
 from pdavis_cv.registry import instead
 
-__all__ = [
-    "checked_parameters",
-    "is_ours",
-    "opened",
-    "parameters_of",
-]
-
 _FUSE = tuple(FusionOptions.facts())
 _OPEN = tuple(SourceOptions.facts())
 _VIEW = ("output", "gain", "gamma", "log")

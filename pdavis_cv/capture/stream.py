@@ -8,8 +8,6 @@ from pdavis_cv.fusion import Fusion
 from pdavis_cv.live import Session
 from pdavis_cv.polarimetry import PolarFrame
 
-__all__ = ["LiveCursor"]
-
 
 class LiveCursor:
     """The images of a live session; the counterpart of `Cursor` for files.

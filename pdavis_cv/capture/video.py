@@ -30,8 +30,6 @@ from pdavis_cv.reconstruct.base import Factory
 from pdavis_cv.recording.base import Source
 from pdavis_cv.recording.options import SourceOptions
 
-__all__ = ["CaptureStatus", "VideoCapture"]
-
 _CAP_ANY, _PROP_BACKEND = 0, 42
 _LONG_NUMBER = re.compile(r"%0*[1-9]\d{3,}[diu]")
 _VIEW = ("output", "gain", "gamma", "log", "open_timeout_ms", "read_timeout_ms")

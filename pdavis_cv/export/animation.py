@@ -16,8 +16,6 @@ from pdavis_cv.export.embedded import embed
 from pdavis_cv.export.files import SeriesFile
 from pdavis_cv.export.video import VideoFile
 
-__all__ = ["ANIMATIONS", "AnimationFile", "moving_file"]
-
 ANIMATIONS = (".gif", ".webp")
 _MOST_FPS = {".gif": 50.0, ".webp": 60.0}
 """Highest rates.  Programs show pictures of less than 20 ms (GIF, whose unit is 10 ms),

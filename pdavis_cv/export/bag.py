@@ -13,8 +13,6 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import chosen
 from pdavis_cv.recording.bag_writer import Bag
 
-__all__ = ["BagFile"]
-
 
 class BagFile(Bag):
     """Write images to a ROS 2 bag as ``sensor_msgs/Image`` and ``CameraInfo``.

@@ -18,9 +18,6 @@ from pdavis_cv.export.files import plain
 from pdavis_cv.quantities import INTENSITY, chosen
 from pdavis_cv.recording.base import Recording, Source
 
-__all__ = ["embed", "embed_png", "light_unit", "provenance", "read_embedded",
-           "to_json", "units"]
-
 # Identifies our box in MP4; random, version 4.
 _UUID = bytes.fromhex("6f0c5f1e2a4b4f6e9c3d70646176697a")
 _PNG_START, _PNG_KEY = b"\x89PNG\r\n\x1a\n", b"pdavis_cv"

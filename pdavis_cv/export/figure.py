@@ -20,8 +20,6 @@ from pdavis_cv.render import (
 )
 from pdavis_cv.render.colours import Picture
 
-__all__ = ["FIGURES", "write_figure"]
-
 FIGURES = (".pdf", ".svg", ".png")
 _MM = 25.4          # per inch
 _MARGIN, _GAP = 1.0, 2.0            # mm

@@ -15,8 +15,6 @@ import numpy as np
 from pdavis_cv._beside import write_beside
 from pdavis_cv._types import Facts
 
-__all__ = ["SeriesFile", "plain", "write_json"]
-
 
 class SeriesFile(ABC):
     """Base of files that are written image by image in a ``with`` block.

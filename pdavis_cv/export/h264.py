@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["H264Writer", "h264_encoder"]
-
 _QUALITY = {"libx264": {"crf": "18", "preset": "veryfast"}}
 _BITS_PER_PIXEL = 0.3   # of libopenh264, which has no setting for quality
 _BT601 = 6              # the matrix by which RGB is converted, in FFmpeg's numbers

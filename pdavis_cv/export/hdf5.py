@@ -12,8 +12,6 @@ from pdavis_cv.export.stacks import StackFile
 from pdavis_cv.recording.hdf5.reader import h5py_module
 from pdavis_cv.recording.hdf5.sink import written
 
-__all__ = ["Hdf5File"]
-
 
 class Hdf5File(StackFile):
     """Write an HDF5 file with a dataset (T, H, W) per quantity, and dimension scales.

@@ -13,8 +13,6 @@ from pdavis_cv.quantities import chosen
 if TYPE_CHECKING:
     import xarray
 
-__all__ = ["to_xarray"]
-
 
 def to_xarray(
     images: PolarFrame | Iterable[PolarFrame],

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from pdavis_cv.export.files import write_json
 from pdavis_cv.export.stacks import StackFile
 
-__all__ = ["NpyFile"]
-
 
 class NpyFile(StackFile):
     """Write a ``.npy`` (T, quantity, H, W), which ``numpy.load`` can map.

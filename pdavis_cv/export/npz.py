@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from pdavis_cv.export.embedded import to_json
 from pdavis_cv.export.stacks import StackFile
 
-__all__ = ["NpzFile"]
-
 
 class NpzFile(StackFile):
     """Write a ``.npz`` with each quantity (T, H, W), ``t_us`` (T,), ``provenance``.

@@ -15,8 +15,6 @@ from pdavis_cv._types import Facts, Image
 from pdavis_cv.export.embedded import to_json
 from pdavis_cv.export.stacks import StackFile
 
-__all__ = ["OmeTiffFile", "tifffile", "write_maps"]
-
 _CLASSIC_END = 2**32 - 2**24
 _UM_PER_CM = 1e4
 _LEVEL = 1  # of zlib; higher levels take longer and hardly compress noise better

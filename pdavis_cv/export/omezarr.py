@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from pdavis_cv.export.embedded import to_json
 from pdavis_cv.export.stacks import StackFile
 
-__all__ = ["OmeZarrFile"]
-
 _SMALLEST = 128
 """Longest side of the smallest level, at most, pixels."""
 _LOOKED_AT = 16

@@ -18,9 +18,6 @@ from pdavis_cv.export.embedded import to_json
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import chosen
 
-__all__ = ["StackFile"]
-
-
 
 class StackFile(ABC):
     """Write float32 planes, one per quantity and time; NaN = not valid.

@@ -17,8 +17,6 @@ from pdavis_cv.export.embedded import to_json
 if TYPE_CHECKING:
     from pdavis_cv.analysis import Traces
 
-__all__ = ["JAER_HEADER", "write_csv", "write_jaer_csv", "write_traces"]
-
 JAER_HEADER = ("lastTimestamp(s)", "ROINumPixels", "f0", "f45", "f90", "f135",
                "AoP(deg)", "AoPStd(deg)", "DoLP", "DoLPStd")
 """Columns of the ROI file of jAER's PolarizationComplementaryFilter."""

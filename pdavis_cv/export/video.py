@@ -20,8 +20,6 @@ from pdavis_cv.export.files import SeriesFile
 from pdavis_cv.export.h264 import H264Writer, h264_encoder
 from pdavis_cv.render import even, png_of
 
-__all__ = ["VideoFile", "write_png"]
-
 # Browsers play VP8 in WebM and VP9 in MP4, and every OpenCV wheel can write both; none
 # can write H.264, which slide programs need: that is PyAV's, where it is installed.  At
 # equal size and quality VP9 takes 8 times as long as VP8, as OpenCV leaves its encoder

@@ -17,10 +17,6 @@ from pdavis_cv.recording.base import Source
 from pdavis_cv.recording.facts import ASSUMED, CALIBRATION, CALLER, Fact, sensor_of
 from pdavis_cv.sensor import Layout, Sensor, resolve_layout
 
-__all__ = ["analyser_of", "check_calibration_fits", "check_layout_fits",
-           "chosen_layout", "chosen_sensor", "facts_used", "gain_of", "mismatch_of",
-           "resolved_extinction_ratio", "response_of"]
-
 # Sources whose unknown layout has already been warned about.
 _warned: weakref.WeakSet[Source] = weakref.WeakSet()
 

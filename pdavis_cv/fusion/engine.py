@@ -47,8 +47,6 @@ from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
 from pdavis_cv.recording.facts import assumptions
 from pdavis_cv.sensor import Layout
 
-__all__ = ["Fusion"]
-
 _AFTER = 2**62
 
 

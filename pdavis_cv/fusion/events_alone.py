@@ -27,8 +27,6 @@ from pdavis_cv.reconstruct.redundancy import (
     EventRedundancy,
 )
 
-__all__ = ["LEAST_SPREAD", "EventScale", "RatioSpread", "event_scale", "ratio_spread"]
-
 LEAST_SPREAD = 0.03
 """Least spread of ln(theta_on / theta_off): 2.1 % of each threshold, the smallest
 mismatch that was published (Lichtsteiner et al. 2008)."""

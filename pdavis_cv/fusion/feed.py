@@ -14,8 +14,6 @@ from pdavis_cv.errors import ExposureWarning
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import ApsFrame, Packet, joined
 
-__all__ = ["LONGEST_DELAY_US", "Feed"]
-
 LONGEST_DELAY_US = 2_000_000
 """A camera is taken to have no frames if none arrives within this time of its first
 sample; a frame that arrives later than this after its mid-exposure is left out; us of

@@ -3,8 +3,6 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-__all__ = ["grid_count", "grid_us"]
-
 
 def grid_us(index: int, fps: Fraction) -> int:
     """Return index / fps in us, rounded half to even as by round()."""

@@ -26,8 +26,6 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.sensor import Layout, Sensor
 
-__all__ = ["ImageMaker"]
-
 _BILINEAR_NS = 1.4
 """Time that weighted bilinear demosaicing of a pixel takes, ns (measured)."""
 

@@ -17,8 +17,6 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import Factory
 from pdavis_cv.recording.base import Recording, Source
 
-__all__ = ["ReadAhead", "fuse"]
-
 DEPTH = 3
 """Images that are read before the first of them is returned: one to work on while the
 next is read, and one in reserve, so that no thread sleeps until the other is ready.

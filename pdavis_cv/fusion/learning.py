@@ -36,9 +36,6 @@ from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
 from pdavis_cv.recording.facts import MEASURED, Fact
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 
-__all__ = ["Learned", "LearnedCamera", "Learning", "learned_camera",
-           "learned_pixels"]
-
 _OF_EVENTS = frozenset({"event_scale", "ratio_sigma"})
 """What is learned from events alone: the scale of the thresholds, and the spread of the
 pixels' ratios of them.  Frames tell "model", or "thresholds" for other methods."""

@@ -7,8 +7,6 @@ from typing import Any
 from pdavis_cv._types import State
 from pdavis_cv.fusion.learning import Learned, Learning
 
-__all__ = ["FIRST_LOOK_S", "OnlineLearning"]
-
 FIRST_LOOK_S = 0.125
 """Time of the first estimate from a passing stream, in s of stream time after the first
 frame; the next ones follow at twice, four times ... that.  Engineering choice: three

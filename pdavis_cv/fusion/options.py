@@ -29,9 +29,6 @@ from pdavis_cv.recording.options import SourceKeywords, SourceOptions
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS, Layout
 from pdavis_cv.turning import TurningAnalyser
 
-__all__ = ["AllKeywords", "FusionKeywords", "FusionOptions", "check_times_fit",
-           "fusion_part"]
-
 _MOST_OFFSET_US = 1_000_000     # a larger offset means different cameras
 
 

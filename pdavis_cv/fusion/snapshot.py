@@ -9,8 +9,6 @@ from pdavis_cv._types import Parameters
 from pdavis_cv.calibration.corrected import Clipping
 from pdavis_cv.reconstruct.base import Snapshot, nbytes
 
-__all__ = ["BEFORE", "FusionSnapshot"]
-
 BEFORE = -(2**62)
 """A time before all times of a recording, us."""
 

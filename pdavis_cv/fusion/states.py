@@ -23,8 +23,6 @@ from pdavis_cv.reconstruct.base import Reconstructor, Snapshot, feed_events
 from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["ArrivalState", "InOrderState", "ReplayState", "make_state"]
-
 _SMALL = 4096
 """Most events that are joined before they are fed in time order.  To feed a packet
 costs as much as a thousand events."""

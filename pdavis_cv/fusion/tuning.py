@@ -11,8 +11,6 @@ from pdavis_cv._types import Parameters
 from pdavis_cv.calibration.thresholds import Theta
 from pdavis_cv.pixel.model import PixelModel
 
-__all__ = ["Tuning"]
-
 _UNSET = object()
 
 

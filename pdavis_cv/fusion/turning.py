@@ -25,8 +25,6 @@ from pdavis_cv.reconstruct.turning import TurningRegression
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
 from pdavis_cv.turning import PulseClock, TurningAnalyser
 
-__all__ = ["TurningFusion"]
-
 _EXCLUDED = "method", "layout", "calibration", "denoise"
 _PULSES = 1, 3      # types of triggers: rising edges, pulses
 _NOMINAL_SIGMA, _STATED_SIGMA = 0.5, 0.05

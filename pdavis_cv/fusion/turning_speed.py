@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from pdavis_cv.recording.base import Recording
 
-__all__ = ["found_hz", "found_segments"]
-
 _LOWEST_HZ, _HIGHEST_HZ = 8.0, 130.0
 """Of the modulation, which has two periods per turn."""
 _BLOCK = 16

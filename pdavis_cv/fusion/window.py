@@ -12,8 +12,6 @@ from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.sensor import Layout
 
-__all__ = ["Window", "checked_roi", "window_of"]
-
 Roi = tuple[int, int, int, int]
 
 

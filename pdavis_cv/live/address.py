@@ -15,8 +15,6 @@ from pdavis_cv.recording.open import AnySource, open_recording
 from pdavis_cv.recording.options import SourceKeywords, SourceOptions
 from pdavis_cv.registry import Registry
 
-__all__ = ["SOURCES", "is_address", "open_source", "options_of"]
-
 SOURCES: Registry[Callable[..., LiveSource]] = Registry("source", {
     "dv+tcp": "pdavis_cv.live.dv:open_tcp",
     "dv+tls": "pdavis_cv.live.dv:open_tls",

@@ -14,8 +14,6 @@ from pdavis_cv.recording.base import Packet, Problem, Recording, RecordingInfo, 
 from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.options import SourceOptions
 
-__all__ = ["HEARTBEAT_S", "Address", "LiveSource", "endless"]
-
 HEARTBEAT_S = 0.01
 """Longest interval at which a source reports its time, s.  It is shorter than the
 interval of images, so that these are not delayed if no events come in the dark."""

@@ -18,8 +18,6 @@ from pdavis_cv.recording.davis import DAVIS346_SIZE, Orientation
 from pdavis_cv.recording.davis_trace import Transfer
 from pdavis_cv.sensor import Sensor
 
-__all__ = ["SETTINGS", "Davis346", "address_of", "listed"]
-
 BIASES = (
     "localbufbn", "padfollbn", "diffbn", "onbn", "offbn", "pixinvbn", "prbp", "prsfbp",
     "refrbp", "readoutbufbp", "apsrosfbn", "adccompbp", "colsellowbn", "dacbufbp",

@@ -10,8 +10,6 @@ from pdavis_cv.recording.base import Packet
 from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.timeline import SEGMENT_US, Timeline
 
-__all__ = ["HostClock", "in_order", "moved"]
-
 WINDOW_S = 10.0
 """Window in which the smallest delay is searched, s; the window before it counts too.
 A crystal that is 50 ppm off drifts by 0.5 ms in it, less than the jitter of USB."""

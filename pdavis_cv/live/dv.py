@@ -54,8 +54,6 @@ from pdavis_cv.recording.timeline import (
 )
 from pdavis_cv.sensor import Layout, Sensor
 
-__all__ = ["DvSource", "open_tcp", "open_tls"]
-
 CONNECT_S = 5.0
 MARGIN_US = 100_000
 """Assumed delay of the sender while nothing arrives, us: DV sends batches of 10 ms, and

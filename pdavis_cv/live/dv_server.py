@@ -17,8 +17,6 @@ from pdavis_cv.recording.aedat4.writer import (
 )
 from pdavis_cv.recording.base import Packet, RecordingInfo
 
-__all__ = ["LOOPBACK", "DvServer"]
-
 _LOG = logging.getLogger(__name__)
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")

@@ -13,8 +13,6 @@ from pdavis_cv.recording.base import (
 )
 from pdavis_cv.recording.files import ProblemLog
 
-__all__ = ["Inbox", "Waiting", "fitting", "size_of", "together"]
-
 LONGEST_LAG_US = 500_000
 """Most stream time that may wait to be fused, us; beyond it, time jumps to now."""
 MOST_BYTES = 128 * 2**20

@@ -10,8 +10,6 @@ from pdavis_cv.live.replay import ReplaySource
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.simulation import DEFAULT_CAMERA, Camera, Fan, named_scene
 
-__all__ = ["open_replay", "open_simulation", "simulated"]
-
 
 def open_replay(
     address: Address, *, speed: float = 1.0, loop: bool = False,

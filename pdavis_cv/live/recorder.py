@@ -17,8 +17,6 @@ from pdavis_cv.recording.base import Packet, Recording, RecordingInfo, Source
 from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.options import SourceOptions
 
-__all__ = ["Recorder", "recorded"]
-
 MOST_BYTES = 256 * 2**20
 """Most bytes that may wait for the disk: 2 s of 10 million events per second."""
 

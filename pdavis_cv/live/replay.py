@@ -10,8 +10,6 @@ from pdavis_cv.live.base import HEARTBEAT_S, LiveSource, endless
 from pdavis_cv.live.clock import moved
 from pdavis_cv.recording.base import Packet, Recording
 
-__all__ = ["ReplaySource", "pieces"]
-
 PIECE_US = 2_000
 """Longest stream time of a piece, us.  Packets are cut as a camera's USB transfers are,
 so that nothing arrives later than from a camera."""

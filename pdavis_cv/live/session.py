@@ -40,8 +40,6 @@ from pdavis_cv.recording.base import (
 from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.options import SourceOptions, source_part
 
-__all__ = ["Session"]
-
 DEFAULT_FPS = 60
 MOST_PUSHED = 64
 """Most images that `Session.push` returns; a second of them."""

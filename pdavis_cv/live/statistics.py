@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Counter", "Patience", "SessionStats"]
-
 WINDOW_S = 2.0
 """Window of rates and latencies, s."""
 

@@ -5,8 +5,6 @@ import os
 import ssl
 from pathlib import Path
 
-__all__ = ["client_context", "server_context"]
-
 
 def server_context(
     certificate: str | os.PathLike[str], key: str | os.PathLike[str],

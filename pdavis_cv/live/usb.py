@@ -12,8 +12,6 @@ from pdavis_cv.live.replay import pieces
 from pdavis_cv.recording.base import Packet
 from pdavis_cv.recording.davis import DavisDecoder
 
-__all__ = ["UsbSource", "open_usb"]
-
 SILENCE_S = 3.0
 """A camera that sends nothing for this long is taken to hang, s; it reports its time
 every 33 ms."""

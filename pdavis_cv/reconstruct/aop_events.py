@@ -15,8 +15,6 @@ from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
 from pdavis_cv.sensor import CHANNELS, Layout
 from pdavis_cv.stokes_vector import aop
 
-__all__ = ["AOP_EVENT_DTYPE", "MOST_RADIUS", "AopEvents"]
-
 MOST_RADIUS = 32
 """Largest radius, macropixels: an event then changes 3,200 of them.  Engineering
 choice; the paper has 4."""

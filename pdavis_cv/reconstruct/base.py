@@ -18,18 +18,6 @@ from pdavis_cv.reconstruct.denoise import EventDenoiser
 from pdavis_cv.reconstruct.lamp import Wave
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = [
-    "WHOLE_SENSOR",
-    "Estimate",
-    "Factory",
-    "Needs",
-    "Reconstructor",
-    "Snapshot",
-    "feed_events",
-    "nbytes",
-    "parameters_of",
-]
-
 _EXP_NS = 0.2
 """Time that the exponential of a pixel takes, ns (measured)."""
 

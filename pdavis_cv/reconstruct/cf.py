@@ -17,8 +17,6 @@ from pdavis_cv.reconstruct.frames import log_exposure, log_samples
 from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["CELL_DTYPE", "RULES", "ComplementaryFilter"]
-
 RULES = ("transfer", "authors", "printed")
 """Readings of the paper's filter (see `ComplementaryFilter`)."""
 

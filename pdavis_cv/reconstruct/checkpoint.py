@@ -25,8 +25,6 @@ from numpy.typing import NDArray
 from pdavis_cv.errors import WeightsError
 from pdavis_cv.reconstruct.weights import Weights, expected_shapes
 
-__all__ = ["firenet_weights", "read_state_dict"]
-
 _MOST_BYTES = 1 << 24
 """Bound on the size of a zip member: the pickle or a tensor; FireNet needs 0.5 MB."""
 

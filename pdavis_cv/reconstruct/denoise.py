@@ -13,8 +13,6 @@ from pdavis_cv._types import Events, Parameters, State
 from pdavis_cv.events import FAR, as_events, timed_events
 from pdavis_cv.reconstruct.stream_clock import StreamClock
 
-__all__ = ["MARGIN", "EventDenoiser"]
-
 RATE_WINDOW_US = 250_000
 """Interval in us after which the pixels' event rates are updated and compared."""
 RATE_SHARE = 0.25

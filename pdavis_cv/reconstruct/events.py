@@ -24,8 +24,6 @@ from pdavis_cv.reconstruct.cf import CELL_DTYPE
 from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["EventHighPass"]
-
 
 class EventHighPass(Reconstructor):
     """Log intensity relative to its recent mean, from events alone.

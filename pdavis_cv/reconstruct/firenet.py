@@ -29,8 +29,6 @@ from pdavis_cv.reconstruct.turns import Turns
 from pdavis_cv.reconstruct.weights import BINS, MEMORY, Weights
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["SCALINGS", "FireNet", "Joint"]
-
 SCALINGS = ("minimum", "normalise", "table")
 """The paper's calibrations of a network's output, in `FireNet`'s ``scaling``."""
 

@@ -13,8 +13,6 @@ from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.stream_clock import StreamClock
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["FrameHold", "log_exposure", "log_samples", "usable_samples"]
-
 
 def log_exposure(frame: ApsFrame) -> NDArray[np.float32]:
     """Return ln of each column's exposure in ms; 0 (plain DN) where it is unknown.

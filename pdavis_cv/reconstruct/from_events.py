@@ -10,8 +10,6 @@ from pdavis_cv.reconstruct.base import Reconstructor
 from pdavis_cv.reconstruct.events import EventHighPass
 from pdavis_cv.reconstruct.redundancy import EventRedundancy
 
-__all__ = ["from_events"]
-
 _KINDS: dict[str, Any] = {"mean": EventHighPass, "redundancy": EventRedundancy}
 _ONLY = {"mean": ("radius", "hold"),
          "redundancy": ("lookahead_us", "bandwidth", "ratio_sigma")}

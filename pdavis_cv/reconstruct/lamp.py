@@ -13,8 +13,6 @@ from pdavis_cv._checks import sensor_shape
 from pdavis_cv._types import Events, Records, State
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["BLOCK_US", "WAVE_DTYPE", "LampTracker", "Lamplight", "Wave"]
-
 BLOCK_US = 100_000
 """Length of a block, us.  Each block has one wave, fitted to the blocks before it."""
 

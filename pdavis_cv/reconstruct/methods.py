@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     from pdavis_cv.pixel.model import PixelModel
     from pdavis_cv.reconstruct.weights import Weights
 
-__all__ = ["DEFAULT_METHOD", "METHODS", "MethodKeywords", "default_method",
-           "factory_of", "make_reconstructor", "method_parameters"]
-
 METHODS: Registry[Factory] = Registry("method", {
     "frames": "pdavis_cv.reconstruct.frames:FrameHold",
     "events": "pdavis_cv.reconstruct.from_events:from_events",

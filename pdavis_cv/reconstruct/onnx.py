@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from pdavis_cv.reconstruct.weights import WIDTH, Weights
 
-__all__ = ["INPUTS", "OUTPUTS", "network_onnx"]
-
 INPUTS = ("x", "h1", "h2")
 OUTPUTS = ("y", "g1", "g2")
 

@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import floats, output, positive, sensor_shape, whole_number
+from pdavis_cv._checks import (
+    checked_threshold,
+    floats,
+    output,
+    positive,
+    sensor_shape,
+    whole_number,
+)
 from pdavis_cv._types import Events, Parameters, Records, State
 from pdavis_cv.events import FAR, checked_time, timed_events
 from pdavis_cv.pixel.model import PixelModel
@@ -18,11 +25,8 @@ from pdavis_cv.pixel.silences import table_of
 from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
 from pdavis_cv.reconstruct.store import EventStore, as_bytes
-from pdavis_cv.reconstruct.stream_clock import StreamClock, checked_threshold
+from pdavis_cv.reconstruct.stream_clock import StreamClock
 from pdavis_cv.recording.base import ApsFrame
-
-__all__ = ["BALANCE_DTYPE", "MOMENTS_DTYPE", "POLICY_DTYPE", "STATE_DTYPE",
-           "EventRedundancy"]
 
 LOOKAHEAD_US = 50_000
 """Default look-ahead, us: how long to wait for each pixel's next event."""

@@ -13,8 +13,6 @@ from pdavis_cv._opencv import opencv
 from pdavis_cv.reconstruct.onnx import INPUTS, OUTPUTS, network_onnx
 from pdavis_cv.reconstruct.weights import Weights
 
-__all__ = ["BACKENDS", "chosen_backend", "make_runner"]
-
 BACKENDS = ("onnxruntime", "cv2")
 """Libraries that run a network, the faster one first."""
 

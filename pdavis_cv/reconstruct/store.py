@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._types import Events, Records, State
 
-__all__ = ["EVENT_DTYPE", "PIXEL_DTYPE", "EventStore", "as_bytes"]
-
 EVENT_DTYPE = np.dtype([
     ("t", "<i8"), ("light", "<f8", 2), ("count", "<f8", 2), ("before", "<f4"),
     ("before2", "<f4"), ("prev", "<i4"), ("next", "<i4"), ("pixel", "<i4"),

@@ -7,12 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import checked_threshold
 from pdavis_cv._types import Events
 from pdavis_cv.events import bad_event, checked_time, timed_events
 from pdavis_cv.recording.base import ApsFrame
-
-__all__ = ["NEVER", "StreamClock", "checked_threshold", "steps"]
 
 NEVER = int(np.iinfo(np.int64).min)
 

@@ -17,8 +17,6 @@ from pdavis_cv.reconstruct.stream_clock import StreamClock
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.turning import PulseClock
 
-__all__ = ["Polarization", "TurningRegression"]
-
 Plane = NDArray[np.float32]
 
 _CELL = np.dtype([("t", "f8"), *((name, "f4") for name in (

@@ -6,8 +6,6 @@ from numpy.typing import NDArray
 
 from pdavis_cv._types import Events, State
 
-__all__ = ["Turns"]
-
 _WINDOWS = 32           # windows per test
 _LEAST_EVENTS = 8       # of a pixel that takes part in the test
 _PER_WINDOW = 0.25      # reversals at a period of eight windows

@@ -16,8 +16,6 @@ from pdavis_cv._arrays import read_arrays
 from pdavis_cv._types import Facts
 from pdavis_cv.errors import WeightsError
 
-__all__ = ["BINS", "MEMORY", "WIDTH", "Weights", "expected_shapes"]
-
 BINS = 5
 """Bins of the voxel grid per window."""
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from pdavis_cv.recording.base import ApsFrame, Recording
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 
-__all__ = ["Advice", "advise"]
-
 BUS_EVENTS_PER_S = 10e6
 """Largest event rate of the camera's read-out (paper, sensor section)."""
 BUSY_SHARE = 0.5

@@ -39,8 +39,6 @@ from pdavis_cv.recording.timeline import (
 )
 from pdavis_cv.sensor import Sensor
 
-__all__ = ["Aedat3Recording"]
-
 MAX_PACKET = 64 << 20
 HULL_BYTES = 16 << 20
 """Bytes of events from which the size of an unknown sensor is assumed."""

@@ -21,8 +21,6 @@ from pdavis_cv.recording.prophesee import RISING
 from pdavis_cv.recording.rosbag import COPIED, EXPOSURE, IMAGES, ROS2_EVENTS, rosbags
 from pdavis_cv.recording.writer import edges_of, source_text
 
-__all__ = ["Bag", "write_rosbag"]
-
 NAMESPACE = "pdavis"
 """Frame of all messages, and beginning of their topics."""
 PACKET, ARRAY = "event_camera_msgs/msg/EventPacket", "dvs_msgs/msg/EventArray"

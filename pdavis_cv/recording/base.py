@@ -21,21 +21,6 @@ from pdavis_cv.recording.members import Member, members_of
 from pdavis_cv.recording.options import MOST_DN, SourceOptions
 from pdavis_cv.sensor import Layout, Sensor
 
-__all__ = [
-    "IMU_DTYPE",
-    "MAX_PACKET_EVENTS",
-    "MAX_PACKET_US",
-    "TRIGGER_DTYPE",
-    "ApsFrame",
-    "Packet",
-    "Problem",
-    "Recording",
-    "RecordingInfo",
-    "Report",
-    "Source",
-    "joined",
-]
-
 MAX_PACKET_EVENTS, MAX_PACKET_US = 65_536, 10_000
 
 IMU_DTYPE = np.dtype([

@@ -20,8 +20,6 @@ from pdavis_cv.recording.base import (
 )
 from pdavis_cv.recording.files import ProblemLog
 
-__all__ = ["DAVIS346_SIZE", "WRAP_US", "DavisDecoder", "Orientation"]
-
 DAVIS346_SIZE = (260, 346)
 WRAP_US = 1 << 15
 """Time stamps in words have 15 bits of us; a wrap word marks each overflow."""

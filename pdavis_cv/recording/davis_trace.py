@@ -28,8 +28,6 @@ from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import PiecewiseRecording
 from pdavis_cv.sensor import Sensor
 
-__all__ = ["MAGIC", "TraceRecording", "TraceWriter", "Transfer"]
-
 MAGIC = b"#!PDAVIS-USB1\n"
 _LONGEST_LINE = 1 << 16
 _LARGEST = 1 << 26

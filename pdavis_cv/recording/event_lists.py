@@ -31,8 +31,6 @@ from pdavis_cv.recording.text_form import (
 )
 from pdavis_cv.recording.timeline import FILLED, Clock
 
-__all__ = ["NumpyRecording", "TextRecording"]
-
 CHUNK = 1 << 18
 """Bytes of text that are read at a time."""
 ROWS = 1 << 16

@@ -9,8 +9,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ENCODINGS", "trigger"]
-
 Columns = tuple[NDArray[np.int64], ...]
 """Times in us, x, y, p; int64."""
 _OVERFLOW_US = 1 << 31

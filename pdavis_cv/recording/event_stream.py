@@ -19,8 +19,6 @@ from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import SequentialRecording
 from pdavis_cv.recording.timeline import Clock
 
-__all__ = ["EventStreamRecording"]
-
 CHUNK = 1 << 18
 """Bytes that are decoded at a time."""
 _HEADER = 20

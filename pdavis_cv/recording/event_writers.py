@@ -17,8 +17,6 @@ from pdavis_cv.recording.parquet import METADATA, pyarrow
 from pdavis_cv.recording.prophesee import EVT2, EVT3, RISING
 from pdavis_cv.recording.writer import RecordingWriter, edges_of, source_text
 
-__all__ = ["NumpyWriter", "ParquetWriter", "RawWriter", "StreamWriter", "TextWriter"]
-
 _ES_STEP = 127
 """Time that a byte without an event adds, us."""
 _ES_LATEST = 1 << 31

@@ -9,9 +9,6 @@ from typing import Any
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.sensor import SENSORS, Layout, Sensor, resolve_layout
 
-__all__ = ["ASSUMED", "CALIBRATION", "CALLER", "FILE", "MEASURED", "Fact",
-           "assumptions", "sensor_of", "stated", "text_of"]
-
 FILE, CALLER, CALIBRATION = "file", "caller", "calibration"
 MEASURED, ASSUMED = "measured", "assumed"
 

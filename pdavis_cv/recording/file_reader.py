@@ -10,8 +10,6 @@ from typing import Any
 from pdavis_cv._remote import RemotePath
 from pdavis_cv.errors import RecordingError
 
-__all__ = ["FileReader", "RemoteReader"]
-
 _POSITIONED = hasattr(os, "preadv")     # which Windows lacks
 
 

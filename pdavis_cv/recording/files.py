@@ -26,8 +26,6 @@ from pdavis_cv.recording.options import MAX_SIDE, SourceOptions
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.timeline import BACKWARD, OUTSIDE, Clock
 
-__all__ = ["FileRecording", "ProblemLog", "clock_text", "microseconds"]
-
 _NOTHING_STATED = SourceOptions()
 _SIZES = ((260, 346), (480, 640), (720, 1280))
 """(height, width) of usual sensors, for files without a sensor size."""

@@ -9,8 +9,6 @@ from pathlib import Path
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.registry import loaded
 
-__all__ = ["Format"]
-
 _KINDS = frozenset(("events", "frames", "imu", "triggers"))
 
 

@@ -10,8 +10,6 @@ from pdavis_cv._remote import RemotePath, as_path
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import FAR
 
-__all__ = ["Budget", "Limits"]
-
 _SLACK = 16 << 20
 """Bytes of one piece that no ratio limits: an empty image compresses without end."""
 _LEAST_WORK = 1 << 20

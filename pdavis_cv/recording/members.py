@@ -12,8 +12,6 @@ from typing import Any
 from pdavis_cv._remote import RemotePath, as_path, is_remote
 from pdavis_cv.recording.images.names import names_of
 
-__all__ = ["Member", "members_of"]
-
 _BLOCK = 1 << 20
 
 

@@ -22,8 +22,6 @@ from pdavis_cv.recording.facts import CALLER
 from pdavis_cv.recording.packetise import Batch, packetise
 from pdavis_cv.sensor import Layout
 
-__all__ = ["MemoryRecording", "recording_from_arrays"]
-
 
 class MemoryRecording(Recording):
     """A recording whose samples are arrays; see `recording_from_arrays`."""

@@ -21,8 +21,6 @@ from pdavis_cv._arrays import array_header
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.limits import Budget
 
-__all__ = ["StoredArray", "stored_arrays", "unpacked"]
-
 _LOCAL_HEADER = 30
 """Bytes of a member's header before its name; the last two words are the sizes of the
 name and of the extra field."""

@@ -17,9 +17,6 @@ from pdavis_cv.recording.options import SourceKeywords, SourceOptions
 from pdavis_cv.recording.registry import FORMATS, first_bytes, format_of, read_with
 from pdavis_cv.recording.text_form import PNM
 
-__all__ = ["AnySource", "open_recording"]
-
-
 AnySource = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 """What can be opened: a path, a pattern of names, or several images in their order."""
 

@@ -17,8 +17,6 @@ from pdavis_cv.recording.limits import Limits
 from pdavis_cv.sensor import SENSORS, Layout, Sensor
 from pdavis_cv.steps import AnalyserSteps
 
-__all__ = ["MAX_SIDE", "MOST_DN", "SourceKeywords", "SourceOptions", "source_part"]
-
 MOST_DN = 2**32
 """Largest full scale that is accepted; converters have 8 to 16 bits."""
 MAX_SIDE = 8192

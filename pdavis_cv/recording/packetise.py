@@ -24,8 +24,6 @@ from pdavis_cv.recording.base import (
 )
 from pdavis_cv.recording.limits import Budget
 
-__all__ = ["END_OF_TIME", "Batch", "between", "cell_start", "packetise"]
-
 END_OF_TIME = 1 << 62
 _PIXEL = 5
 """Bytes of a frame's pixel: its DN, and whether it is valid."""

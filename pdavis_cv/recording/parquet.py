@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from pdavis_cv.recording.event_lists import NumpyRecording
 
-__all__ = ["METADATA", "ParquetRecording", "pyarrow"]
-
 METADATA = "pdavis_cv"
 """Key of the table's metadata that holds the sensor's size and facts of the source."""
 

@@ -21,9 +21,6 @@ from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import SequentialRecording
 from pdavis_cv.recording.timeline import FILLED, OFFSET, Clock
 
-__all__ = ["EVT2", "EVT3", "FALLING", "RISING", "PropheseeRecording",
-           "WordStream", "is_prophesee", "ordered_triggers"]
-
 MAX_HEADER = 1 << 16
 CHUNK = 1 << 18
 """Bytes that are decoded at a time."""

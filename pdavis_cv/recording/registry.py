@@ -17,9 +17,6 @@ from pdavis_cv.recording.images.reader import is_four_planes
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.registry import Registry, instead, loaded
 
-__all__ = ["FORMATS", "first_bytes", "format_of", "is_recording", "read_with",
-           "suffixes", "writer_for"]
-
 _HEAD = 4096
 _ALWAYS = frozenset((
     "layout", "sensor", "sensor_size", "camera", "bad_events", "limits", "isolated"))

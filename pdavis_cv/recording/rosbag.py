@@ -45,8 +45,6 @@ from pdavis_cv.recording.timeline import (
     Timeline,
 )
 
-__all__ = ["COPIED", "EXPOSURE", "IMAGES", "ROS2_EVENTS", "RosRecording", "rosbags"]
-
 HORIZON_US = 500_000
 """Longest time by which events and images of a bag may be out of order."""
 SIZES = 9

@@ -15,8 +15,6 @@ from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.limits import Budget
 
-__all__ = ["Gathering", "Scratch", "copy_rows"]
-
 _LEAST_ROOM = 1 << 16
 _SPARE = 1.05
 """Memory to reserve, relative to the size predicted from the first chunk."""

@@ -8,8 +8,6 @@ from itertools import islice
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.limits import Budget
 
-__all__ = ["Search"]
-
 _BLOCK = 1 << 18
 _MORE = 64
 """Bytes after a block, which show whether a packet begins at its end."""

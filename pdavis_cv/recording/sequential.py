@@ -13,8 +13,6 @@ from pdavis_cv.recording.packetise import Batch, cell_start, packetise
 from pdavis_cv.recording.scratch import Gathering, Scratch
 from pdavis_cv.recording.timeline import Clock, Marks, Timeline
 
-__all__ = ["PiecewiseRecording", "SequentialRecording"]
-
 MARK_PLACES = 1 << 20
 """Smallest distance of two positions where reading can resume, bytes or rows."""
 

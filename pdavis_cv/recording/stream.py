@@ -9,8 +9,6 @@ from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE, check_order
 from pdavis_cv.recording.base import Packet, Problem, RecordingInfo, Source
 
-__all__ = ["StreamSource", "source_from_packets"]
-
 _FIRST = -(2**63)
 """A time in us at or before all stamps."""
 

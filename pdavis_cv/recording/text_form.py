@@ -18,9 +18,6 @@ from numpy.typing import NDArray
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.options import MAX_SIDE
 
-__all__ = ["PNM", "UNITS", "TextForm", "is_text_events", "text_form", "unit_of",
-           "unit_of_times"]
-
 UNITS = ("us", "s", "ns", "ms")
 """Units of times, in the kernel's order."""
 NANOSECONDS_FROM = 10**17

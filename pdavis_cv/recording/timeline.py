@@ -23,9 +23,6 @@ from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.base import joined
 from pdavis_cv.recording.scratch import Scratch, copy_rows
 
-__all__ = ["LOOK_AHEAD", "NEVER", "SEGMENT_US", "Clock", "Marks", "SegmentError",
-           "Timeline", "possible_range"]
-
 NEVER = -FAR
 """A time before any that a file may hold, us."""
 EARLIEST = -(1 << 55)

@@ -20,8 +20,6 @@ from pdavis_cv.recording.base import Packet, RecordingInfo, Source
 from pdavis_cv.recording.facts import text_of
 from pdavis_cv.recording.prophesee import FALLING, RISING
 
-__all__ = ["RecordingWriter", "edges_of", "info_of", "source_text"]
-
 _LOG = logging.getLogger(__name__)
 
 

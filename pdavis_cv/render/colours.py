@@ -17,18 +17,6 @@ from pdavis_cv._checks import real_number
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render.cyclic import even_hues, hsv_hues
 
-__all__ = [
-    "FULL_COLOUR_DOLP",
-    "INVALID",
-    "MASKED",
-    "Picture",
-    "aop_bgr",
-    "dolp_bgr",
-    "fade",
-    "grey_bgr",
-    "hatch",
-]
-
 Picture = NDArray[np.uint8]
 Mark = tuple[int, int, int] | tuple[tuple[int, int, int], tuple[int, int, int]]
 

@@ -11,8 +11,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["even_hues", "hsv_hues"]
-
 _STEPS = 1024
 _LIGHTNESS, _RADIUS = 0.70, 0.15    # the largest radius that fits into sRGB
 _TILT = 0.8                         # radians

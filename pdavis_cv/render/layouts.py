@@ -19,13 +19,6 @@ from pdavis_cv.render.legends import DARK, even, panel, stack, tile
 from pdavis_cv.render.overlay import fade_aop, reliable
 from pdavis_cv.render.tone import ToneCurve
 
-__all__ = [
-    "fan_sheet",
-    "png_of",
-    "summary",
-    "tendon_sheet",
-]
-
 _LEAST_WIDTH = 240  # of a panel, so that small images are visible and captions fit
 Grey = Callable[[ArrayLike, NDArray[np.bool_] | None], Picture]
 

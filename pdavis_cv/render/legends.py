@@ -24,21 +24,6 @@ from pdavis_cv.render.colours import (
     hatch,
 )
 
-__all__ = [
-    "DARK",
-    "LIGHT",
-    "Panel",
-    "Style",
-    "aop_legend",
-    "bar_legend",
-    "caption",
-    "even",
-    "panel",
-    "stack",
-    "text_width",
-    "tile",
-]
-
 
 class Style(NamedTuple):
     """Grey values of background and text around pictures, 0..255, and their size.

@@ -13,9 +13,6 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render.colours import FULL_COLOUR_DOLP, Picture, fade
 from pdavis_cv.render.legends import DARK, caption, text_width
 
-__all__ = ["HIDDEN_SIGMA_DEG", "events_on", "fade_aop", "known_aop", "reliable",
-           "scale_bar"]
-
 ON, OFF = (255, 255, 255), (0, 0, 0)
 
 HIDDEN_SIGMA_DEG = 20.0

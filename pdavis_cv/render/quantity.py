@@ -11,8 +11,6 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import Quantity
 from pdavis_cv.render.colours import Picture, aop_bgr, dolp_bgr, grey_bgr
 
-__all__ = ["colour_bgr", "quantity_bgr"]
-
 
 def quantity_bgr(
     quantity: Quantity, frame: PolarFrame, low: float, high: float, *,

@@ -11,8 +11,6 @@ from pdavis_cv._opencv import opencv
 from pdavis_cv.render.colours import Picture
 from pdavis_cv.render.legends import caption, text_width
 
-__all__ = ["Line", "chart"]
-
 _LEFT, _BOTTOM, _TOP = 44, 22, 20
 
 

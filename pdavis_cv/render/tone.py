@@ -19,8 +19,6 @@ from pdavis_cv.render.colours import (
     through_table,
 )
 
-__all__ = ["LOG_RANGE", "ToneCurve"]
-
 LOG_RANGE = 1023.0
 """White over black of the logarithmic curve: one count of a 10-bit converter."""
 

@@ -21,8 +21,6 @@ from pdavis_cv.simulation.checks import (
     within,
 )
 
-__all__ = ["ApsPixel", "FrameClock"]
-
 FloatArray = NDArray[np.float64]
 
 _LEAST_FPS, _MOST_FPS = 1e-12, 1e5

@@ -10,8 +10,6 @@ from pdavis_cv._types import Events
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.simulation.checks import python_numbers, within
 
-__all__ = ["Bus", "BusState"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Bus:

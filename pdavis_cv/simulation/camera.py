@@ -32,8 +32,6 @@ from pdavis_cv.simulation.specimen import Specimen
 from pdavis_cv.simulation.stream import SimulatedRecording
 from pdavis_cv.simulation.truth import Truth
 
-__all__ = ["DEFAULT_CAMERA", "PRESETS", "Camera"]
-
 _MOST_THREADS = 1024
 
 _NOMINAL_DVS = DvsPixel(

@@ -9,10 +9,6 @@ import numpy as np
 
 from pdavis_cv._checks import MOST_ANGLE, MOST_RPM, real_number, whole_number
 
-__all__ = ["MOST_DN", "MOST_HZ", "MOST_LIGHT", "MOST_SEED", "affordable", "fraction",
-           "instance", "positive", "present", "python_numbers", "require", "turning",
-           "whole", "within"]
-
 MOST_BYTES = 4 << 30
 """Most bytes that a simulation may hold in memory.  Engineering choice: a laptop has
 more."""

@@ -23,8 +23,6 @@ from pdavis_cv.simulation.checks import (
     within,
 )
 
-__all__ = ["DvsPixel", "PixelArray"]
-
 # Longest interval in time constants of the second pole: the cubic of `_follow` is then
 # off by at most 4e-6 of a step of log light.
 _POLE_PHASE = 0.2

@@ -10,8 +10,6 @@ from pdavis_cv.simulation.scenes import Scene
 from pdavis_cv.simulation.stream import SimulatedRecording
 from pdavis_cv.simulation.truth import Truth
 
-__all__ = ["EXAMPLES", "example_stream", "example_truth"]
-
 # Sized so that a file has at most 2 MB.
 EXAMPLES: Mapping[str, tuple[Scene, tuple[int, int]]] = MappingProxyType({
     "fan": (Fan(rpm=60.0, radius=27.0, hub=5.0), (56, 56)),

@@ -15,8 +15,6 @@ from pdavis_cv.simulation.checks import (
     within,
 )
 
-__all__ = ["EventFaults", "Faults"]
-
 _MOST_OFFSET_US = 10_000_000
 _LARGEST_DRIFT = 0.5
 """Bound on the relative drift of the thresholds over a recording."""

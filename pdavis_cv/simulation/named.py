@@ -16,8 +16,6 @@ from pdavis_cv.simulation.scenes import (
 )
 from pdavis_cv.simulation.sweeps import IrradianceSweep, MalusSweep
 
-__all__ = ["SCENES", "named_scene"]
-
 SCENES = {
     "polarizer": "a turning polarizer",
     "qwp": "a turning quarter-wave plate behind a fixed polarizer",

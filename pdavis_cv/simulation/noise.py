@@ -11,8 +11,6 @@ import zlib
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["keys", "normal", "pixel_index", "uniform"]
-
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 

@@ -17,8 +17,6 @@ from pdavis_cv.simulation.checks import (
     within,
 )
 
-__all__ = ["Optics"]
-
 FloatArray = NDArray[np.float64]
 
 _MOST_RATIO = 1e12      # far above any polarizer; a float still tells it from infinity

@@ -34,8 +34,6 @@ from pdavis_cv.simulation.scenes import (
     step_of,
 )
 
-__all__ = ["Fan", "FunctionScene", "Tendon", "Texture"]
-
 _MIDDLE = ((Sensor.PDAVIS.size[1] - 1) / 2, (Sensor.PDAVIS.size[0] - 1) / 2)
 # exp(2i angle) of the polarizers in sectors -12..5: azimuth (-3..3 sectors) less turn
 # (0..6) lies in -9..3, and a soft edge reads the sector before.

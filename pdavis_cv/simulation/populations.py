@@ -14,8 +14,6 @@ from typing import Any, NamedTuple
 
 from pdavis_cv.simulation import noise
 
-__all__ = ["POPULATIONS", "Range", "drawn"]
-
 
 class Range(NamedTuple):
     """A parameter's values over specimens: uniform in its log, or in itself.

@@ -29,18 +29,6 @@ from pdavis_cv.simulation.checks import (
     within,
 )
 
-__all__ = [
-    "FULL",
-    "Coloured",
-    "FlatLight",
-    "Flicker",
-    "PolarizerBeforePlate",
-    "RotatingPlate",
-    "RotatingPolarizer",
-    "Scene",
-    "Sum",
-]
-
 FloatArray = NDArray[np.float64]
 Stokes = tuple[FloatArray, FloatArray, FloatArray]
 

@@ -14,8 +14,6 @@ from pdavis_cv.simulation.faults import Faults
 from pdavis_cv.simulation.optics import Optics
 from pdavis_cv.simulation.scenes import FloatArray
 
-__all__ = ["Specimen"]
-
 
 class Specimen:
     """What is constant from one recording of a camera to the next; see `Camera`."""

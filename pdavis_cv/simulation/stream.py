@@ -29,8 +29,6 @@ from pdavis_cv.simulation.scenes import FloatArray, Scene, Stokes
 from pdavis_cv.simulation.specimen import Specimen
 from pdavis_cv.simulation.truth import Truth
 
-__all__ = ["Piece", "SimulatedRecording"]
-
 PIECE_US = 10_000
 _ROWS = 16      # rows, and intervals, per evaluation of a scene that is not uniform
 _INTERVALS = 16

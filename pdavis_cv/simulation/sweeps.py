@@ -29,8 +29,6 @@ from pdavis_cv.simulation.scenes import (
     step_of,
 )
 
-__all__ = ["IrradianceSweep", "MalusSweep"]
-
 _LEAST_US = 1e-3    # shortest movement of a stage, far below the clock's microsecond
 
 

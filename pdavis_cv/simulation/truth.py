@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv._beside import write_beside
 from pdavis_cv.simulation.scenes import FloatArray, Scene
 
-__all__ = ["Truth"]
-
 
 class Truth:
     """Exact truth of a simulated recording, evaluated on request.

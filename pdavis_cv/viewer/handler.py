@@ -32,8 +32,6 @@ from pdavis_cv.viewer.regions import MOST_REGIONS, Region, values
 from pdavis_cv.viewer.site import Site
 from pdavis_cv.viewer.socket import accepted_key, binary, closing, received
 
-__all__ = ["Handler"]
-
 _LOG = logging.getLogger(__name__)
 
 PATIENCE_S = 10.0

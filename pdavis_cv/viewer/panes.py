@@ -27,9 +27,6 @@ from pdavis_cv.render.colours import (
 )
 from pdavis_cv.viewer.show import Show
 
-__all__ = ["archive", "jpeg", "levels_of", "missing", "palettes", "pane", "planes",
-           "saturated"]
-
 JPEG_QUALITY = 95
 _JPEG_SAMPLING, _JPEG_444 = 7, 0x111111
 """IMWRITE_JPEG_SAMPLING_FACTOR and its value, which OpenCV before 4.7 ignores."""

@@ -13,8 +13,6 @@ from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.stokes_vector import aop, dolp, propagated
 
-__all__ = ["MOST_REGIONS", "Region", "values"]
-
 Region = tuple[int, int, int, int]
 """(x, y, width, height) in pixels of the whole sensor."""
 

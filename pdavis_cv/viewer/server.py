@@ -17,8 +17,6 @@ from pdavis_cv.viewer.handler import PATIENCE_S, Handler
 from pdavis_cv.viewer.show import Show, show_of
 from pdavis_cv.viewer.site import Site
 
-__all__ = ["PORT", "Server", "serve", "view"]
-
 PORT = 8346
 MOST_CONNECTIONS = 64
 """Most connections of any kind; of more, those are closed that ask for nothing."""

@@ -23,8 +23,6 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.methods import METHODS
 from pdavis_cv.recording.base import Problem, Recording, Source
 
-__all__ = ["Show", "show_of"]
-
 _SPEEDS = (1e-4, 1e3)
 _FAILURES = (OSError, PdavisError, ValueError, ImportError)
 

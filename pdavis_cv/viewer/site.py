@@ -9,8 +9,6 @@ from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.viewer.panes import jpeg, pane
 from pdavis_cv.viewer.show import Show
 
-__all__ = ["Site"]
-
 MOST_CLIENTS = 8
 """Most pages and players that get pictures at the same time."""
 

@@ -11,8 +11,6 @@ import struct
 from collections.abc import Mapping
 from typing import Protocol
 
-__all__ = ["Readable", "accepted_key", "binary", "closing", "received"]
-
 _GUID = b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11"     # RFC 6455, 1.3
 _TEXT, _CLOSE, _PING, _PONG = 1, 8, 9, 10
 _BINARY = 2

@@ -28,25 +28,14 @@ from pdavis_cv import (
 from pdavis_cv._opencv import opencv
 from pdavis_cv.export.ometiff import tifffile
 
-from .._common import (
-    Parser,
-    UsageError,
-    add_json_option,
-    command,
-    progress,
-    stage,
-    start_of,
-    tell,
-)
+from .._common import Parser, UsageError, add_json_option, command, start_of, tell
 from .._images import facts_of, grid_times, held_at, of_frames, told_if_nothing
 from .._options import add_file, add_fuse_options, fuse_options, opened
+from .._progress import progress, stage
 from .._values import number, positive, seconds, within
 from . import force, periodic, report, results
 from .findings import Findings
 from .video import TendonSheet
-
-__all__ = ["main", "measure", "parser"]
-
 
 _SAME = 0.1     # relative difference of frequencies that mean the same
 _STATED = 0.02  # to which a stated one is taken to be right

@@ -11,8 +11,6 @@ from pdavis_cv import analysis, render
 
 from .periodic import PeriodicLight
 
-__all__ = ["Findings", "Loop"]
-
 
 @dataclass(frozen=True, eq=False)
 class Loop:

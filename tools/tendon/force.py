@@ -14,8 +14,6 @@ from .._common import UsageError
 from .findings import Findings
 from .results import loop_of
 
-__all__ = ["align"]
-
 _WITHIN_S = 0.5     # default of --within
 _FUSED_LAG = 0.03   # cycles; simulated, pixels that are slower than assumed
 

@@ -16,8 +16,6 @@ from pdavis_cv.sensor import Sensor
 
 from .._options import calibration_of
 
-__all__ = ["Frames", "PeriodicLight", "assume_ratio", "measure"]
-
 FloatArray = NDArray[np.float64]
 
 _RATIO, _CONTRAST_SIGMA = 34.5, 0.010

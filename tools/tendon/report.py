@@ -19,8 +19,6 @@ from pdavis_cv._text import for_script
 from .findings import Findings
 from .results import clock_of, error_of, rounded, rows_of
 
-__all__ = ["matplotlib", "summary", "write_report"]
-
 _TOGETHER_DEG = 60.0        # largest deviation of phases that get a map of their range
 _LEAST_REACH_DEG = 5.0      # smallest range of that map, so that it does not show noise
 _COLOURS = ("tab:orange", "tab:blue", "tab:green", "tab:pink")

@@ -15,9 +15,6 @@ from pdavis_cv.analysis import of_aop, of_dolp
 
 from .findings import Findings, Loop
 
-__all__ = ["clock_of", "error_of", "loop_of", "maps_of", "rounded", "rows_of",
-           "waves_of", "write"]
-
 FloatArray = NDArray[np.float64]
 
 _CYCLE = 60     # points of a cycle in tables

@@ -14,8 +14,6 @@ from pdavis_cv.mosaic import HALF_SIZE
 from .._images import screen_scale, tone_of
 from .findings import Findings
 
-__all__ = ["TendonSheet"]
-
 _COLOURS = ((80, 220, 255), (255, 180, 80), (120, 255, 120), (255, 120, 220))
 
 

@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import output, positive, sensor_shape, whole_number
+from pdavis_cv._checks import (
+    checked_threshold,
+    output,
+    positive,
+    sensor_shape,
+    whole_number,
+)
 from pdavis_cv._types import Events, Parameters, Records, State
 from pdavis_cv.events import FAR, checked_time, timed_events
 from pdavis_cv.pixel.model import LAGS_S, PixelModel
@@ -35,7 +41,7 @@ from pdavis_cv.reconstruct.kalman.saturation import VALID_VARIANCE, Saturated
 from pdavis_cv.reconstruct.lamp import MEMORY_US, Lamplight, Wave
 from pdavis_cv.reconstruct.redundancy import RATIO_SIGMA
 from pdavis_cv.reconstruct.store import EventStore, as_bytes
-from pdavis_cv.reconstruct.stream_clock import NEVER, StreamClock, checked_threshold
+from pdavis_cv.reconstruct.stream_clock import NEVER, StreamClock
 from pdavis_cv.recording.base import ApsFrame
 
 __all__ = ["KalmanFilter"]

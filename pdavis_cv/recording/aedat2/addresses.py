@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["as_davis", "camera_of"]
-
 _SIZES = ((180, 240), (260, 346), (480, 640))
 """(height, width) of the usual DAVIS cameras, and of v2e."""
 _REACHED = 0.95

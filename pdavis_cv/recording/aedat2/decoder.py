@@ -29,8 +29,6 @@ from pdavis_cv.recording.timeline import (
     Timeline,
 )
 
-__all__ = ["CHUNK_WORDS", "Decoder", "ImuScale", "Mark"]
-
 CHUNK_WORDS = 1 << 17
 STALE_BYTES = 8 << 20
 """Longest repetition of earlier words at the end of old files, bytes."""

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.file_reader import FileReader
 
-__all__ = ["CHIP_SIZES", "DVS128", "SOURCE", "Header", "bias_currents", "read_header"]
-
 SOURCE = "SourceFacts"
 """Line of this library's writer that says what is known of the source."""
 MAX_HEADER = 4 << 20

@@ -30,8 +30,6 @@ from pdavis_cv.recording.sequential import PiecewiseRecording
 from pdavis_cv.recording.timeline import NEVER, Marks
 from pdavis_cv.sensor import Sensor
 
-__all__ = ["Aedat2Recording"]
-
 WARM_UP_US = 2_000_000
 """Time by which reading begins before the interval; longer than any frame takes."""
 PROBE_WORDS = 1 << 13

@@ -15,8 +15,6 @@ from pdavis_cv.recording.aedat2.header import CHIP_SIZES, SOURCE
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo, Source
 from pdavis_cv.recording.writer import RecordingWriter, info_of, source_text
 
-__all__ = ["Aedat2Writer", "write_aedat2"]
-
 HOLD_US = 300_000
 """Time for which words are held back, as a frame's first read precedes its events."""
 FLUSH_WORDS = 1 << 18

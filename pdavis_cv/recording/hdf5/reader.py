@@ -38,8 +38,6 @@ from pdavis_cv.recording.sequential import PiecewiseRecording
 from pdavis_cv.recording.timeline import NEVER, Clock, Timeline
 from pdavis_cv.sensor import Layout, Sensor
 
-__all__ = ["Hdf5Recording", "h5py_module"]
-
 CHUNK = 1 << 16
 LEAST_PIECE = 256
 _PIXEL = 6

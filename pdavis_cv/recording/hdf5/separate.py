@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["SeparateImages"]
-
 
 class SeparateImages:
     """The images of rpg's layout, which are separate datasets, as one stack.

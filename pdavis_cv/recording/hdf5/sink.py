@@ -14,8 +14,6 @@ from typing import Any
 
 from pdavis_cv.recording.hdf5.reader import h5py_module
 
-__all__ = ["written"]
-
 
 class _Sink(io.RawIOBase):
     def __init__(self, path: Path) -> None:

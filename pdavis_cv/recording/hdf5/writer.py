@@ -18,8 +18,6 @@ from pdavis_cv.recording.hdf5.reader import CHUNK
 from pdavis_cv.recording.hdf5.sink import written
 from pdavis_cv.recording.writer import source_text
 
-__all__ = ["write_dsec", "write_e2p", "write_hdf5", "write_rpg"]
-
 
 def write_hdf5(path: str | os.PathLike[str], recording: Recording, *,
                flavour: str = "e2p") -> Mapping[str, int]:

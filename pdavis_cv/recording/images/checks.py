@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from pdavis_cv.sensor import Layout
 
-__all__ = ["assumed_full_scale", "found_colours", "measured_full_scale"]
-
 BITS = (8, 10, 12, 14, 16)
 """Bits of converters."""
 LEAST_CLIPPED = 16

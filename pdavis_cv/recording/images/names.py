@@ -10,8 +10,6 @@ from pathlib import Path
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.sensor import CHANNELS
 
-__all__ = ["angles_of", "by_angle", "names_of", "natural_order"]
-
 FIRST_NUMBERS = range(5)
 """Possible first numbers of a pattern, as in cv2.VideoCapture."""
 _NUMBER = re.compile(r"%(0?\d{0,2})d")

@@ -15,10 +15,6 @@ from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.images.checks import measured_full_scale
 from pdavis_cv.steps import AnalyserSteps
 
-__all__ = ["AlignedPictures", "FourPictures", "Images", "PictureFacts", "Pictures",
-           "Several", "StackedPictures", "SteppedPictures", "one_plane", "readable"]
-
-
 Images = Generator[tuple[float | None, NDArray[Any]], None, None]
 """See `Pictures.images`."""
 

@@ -38,8 +38,6 @@ from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.sensor import Layout
 from pdavis_cv.steps import AnalyserSteps
 
-__all__ = ["ImageRecording", "is_four_planes"]
-
 STILL_SUFFIXES = (".bmp", ".jp2", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".webp")
 TIFF_SUFFIXES = (".tif", ".tiff")
 ASSUMED_FPS = 25

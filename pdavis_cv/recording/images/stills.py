@@ -23,8 +23,6 @@ from pdavis_cv.recording.images.pictures import (
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.numpy_files import stored_arrays
 
-__all__ = ["ArrayPictures", "StillPicture", "is_image_array"]
-
 _PGM = re.compile(rb"P[2356]\s(?:\s*#.*\n)*\s*(\d+)\s+(\d+)\s+(\d+)\s")
 _SHAPE = re.compile(rb"\x93NUMPY.{4,6}\{[^}]*'shape': \((\d[\d, ]*)\)", re.DOTALL)
 _SIDES = (

@@ -24,8 +24,6 @@ from pdavis_cv.recording.images.pictures import (
 )
 from pdavis_cv.recording.limits import Budget
 
-__all__ = ["TiffPictures"]
-
 # Damage is an error of ours, not lines that tifffile prints.
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
 

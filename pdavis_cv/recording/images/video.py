@@ -19,8 +19,6 @@ from pdavis_cv.recording.images.pictures import (
 )
 from pdavis_cv.recording.limits import Budget
 
-__all__ = ["VideoPictures"]
-
 _COUNTED = ("matroska", "mov")
 """Containers that give each image a block with its time."""
 _NO_TIMES = 0x80
