@@ -205,7 +205,8 @@ def test_tendon_finds_the_load_and_writes_everything(
 
 @pytest.mark.parametrize(("given", "zero", "loop"), [
     (["--offset", "0.2"], 0.2, True),
-    (["--offset", "0.2", "--within", "0.15"], 0.2, False),
+    pytest.param(["--offset", "0.2", "--within", "0.15"], 0.2, False,
+                 marks=pytest.mark.gate),
     (["--offset", "0.2", "--within", "0.15", "--load-sign", "-1"], 0.1, False)])
 def test_only_a_known_offset_gives_a_loop(
         tmp_path, pulled, monkeypatch, capsys, given, zero, loop):
@@ -283,9 +284,9 @@ def true_wave(truth, hz, x, y):
     return abs(found[0]), 2 * abs(found[1]), np.angle(found[1])
 
 
+@pytest.mark.gate
 @pytest.mark.parametrize(("hz", "seconds", "stated"), [
-    pytest.param(1.01, 4.0, [], marks=pytest.mark.gate),
-    pytest.param(20.26, 6.0, [], marks=pytest.mark.gate),
+    (1.01, 4.0, []), (20.26, 6.0, []),
     # Stated as one that frames see at two phases; events tell it from that.
     (10.13, 4.0, ["--load-hz", "10"])])
 def test_amplitude_and_phase_of_any_speed_are_those_of_the_light(

@@ -26,6 +26,7 @@ if CHROMIUM is None:
 
 OPTIONS = {"layout": Layout.PDAVIS, "nominal_thresholds": (0.16, 0.18), "method": "cf"}
 PATIENCE_MS = 60_000
+pytestmark = pytest.mark.gate     # a browser takes seconds to start
 
 
 @pytest.fixture(scope="module")
@@ -359,7 +360,6 @@ def test_videos_play_in_a_browser(browser, tmp_path, suffix):
     page.close()
 
 
-@pytest.mark.gate
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])
 def test_animations_are_shown_in_a_browser(browser, tmp_path, suffix):
     with AnimationFile(tmp_path / f"clip{suffix}", 25, {"method": "none"}) as file:
@@ -376,7 +376,6 @@ def test_animations_are_shown_in_a_browser(browser, tmp_path, suffix):
     assert size == [64, 48]
 
 
-@pytest.mark.gate
 def test_pointing_at_the_tendon_s_traces_tells_their_values(browser, tmp_path):
     pytest.importorskip("matplotlib")
     assert main([

@@ -170,7 +170,7 @@ def test_windows_of_damaged_files_are_parts_of_the_whole(tmp_path, damaged, inde
     assert len(whole[1]) >= len(frames) - 1
     rng = np.random.default_rng(0)
     with open_recording(tmp_path / "x.aedat4") as used:
-        for _ in range(12):
+        for _ in range(5):
             a, b = np.sort(rng.integers(9_990_000, 10_830_000, 2)).tolist()
             for recording in (used, open_recording(tmp_path / "x.aedat4")):
                 found = joined(recording.packets(a, b))

@@ -218,13 +218,13 @@ def test_images_of_one_held_frame_share_their_arrays(polarizer):
     {"method": "kalman", "mode": "offline"}])
 def test_a_snapshot_continues_with_the_same_images(polarizer, options, causal):
     recording, _ = polarizer
-    arguments = {"fps": 97, "causal": causal, "thresholds": THETA, **options}
+    arguments = {"fps": 43, "causal": causal, "thresholds": THETA, **options}
     if causal and options.get("mode") == "offline":
         with pytest.raises(ValueError, match="kalman needs 500000 us"):
             fuse(recording, **arguments)
         return
     images = list(fuse(recording, **arguments))
-    for stop in (1, 44, len(images)):
+    for stop in (1, 21, len(images)):
         fusion = Fusion(recording, **arguments)
         for _ in range(stop):
             assert fusion.advance()

@@ -81,7 +81,7 @@ def test_it_equals_its_plain_version(mode, name, exposure):
     events, frames = stream(seed=MODES.index(mode), exposures=exposure)
     twin = reference_increments.Filter(events, frames, model, SHAPE, mode=mode)
     one = make(model=model, mode=mode)
-    for t in (35_000, 99_000, 163_017, 455_003, 700_000):
+    for t in (35_000, 163_017, 700_000):
         seen = t + one.lookahead_us
         got = read(fed(make(model=model, mode=mode), events, frames, seen), t)
         log, variance = twin.read(t)

@@ -53,7 +53,7 @@ def calibrated(turning):
     {"extinction_ratio": None}, {"method": "frames"}, {"method": "cf"},
     {"method": "events", "offsets": "redundancy"}, {"calibrated": True}], ids=str)
 def test_images_of_two_threads_are_those_of_one(turning, options):
-    options = {"method": "kalman", "fps": 150, **options}
+    options = {"method": "kalman", "fps": 60, **options}
     if options.pop("calibrated", False):
         options["calibration"] = calibrated(turning)
     one, two = (list(fuse(turning, threads=n, **options)) for n in (1, 2))
@@ -197,7 +197,7 @@ def test_two_threads_share_the_images_of_a_source(turning, options):
 
     def images(threads):
         return fuse(source_from_packets(info, turning.packets()), threads=threads,
-                    fps=100, method="kalman", thresholds=(0.15, 0.15), **options)
+                    fps=60, method="kalman", thresholds=(0.15, 0.15), **options)
 
     two = images(2)
     next(two)

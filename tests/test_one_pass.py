@@ -75,7 +75,7 @@ def assert_same(images, others):
 
 
 @pytest.mark.parametrize("grid", [
-    {"fps": 47}, pytest.param({}, marks=pytest.mark.gate)])
+    {"fps": 23}, pytest.param({}, marks=pytest.mark.gate)])
 @pytest.mark.parametrize("options", METHODS, ids=lambda options: " ".join(
     str(value) for key, value in options.items() if key != "model"))
 @pytest.mark.parametrize("causal", [True, False])
@@ -91,7 +91,7 @@ def test_one_pass_gives_the_bits_of_the_recording(recording, options, grid, caus
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("options", [{"method": "cf"}, {"method": "kalman"}], ids=str)
 def test_how_the_stream_is_cut_into_packets_does_not_matter(recording, options, seed):
-    options = {**options, "fps": 47, "causal": True, "nominal_thresholds": NOMINAL}
+    options = {**options, "fps": 23, "causal": True, "nominal_thresholds": NOMINAL}
     packets = list(cut_otherwise(recording, seed))
     assert_same(fuse(recording, **options), fuse(once(recording, packets), **options))
 
@@ -99,9 +99,9 @@ def test_how_the_stream_is_cut_into_packets_does_not_matter(recording, options, 
 def test_calls_do_not_matter_either(recording):
     """An image is the same whichever images were asked for before it."""
     options = {"method": "kalman", "causal": True, "nominal_thresholds": NOMINAL}
-    times = np.arange(100_000, 750_000, 19_777)
+    times = np.arange(100_000, 750_000, 39_777)
     many = {image.t_us: image for image in fuse(recording, times_us=times, **options)}
-    for t in times[7::13]:
+    for t in times[4::9]:
         alone, = fuse(once(recording), times_us=[t], **options)
         np.testing.assert_array_equal(alone.quad, many[t].quad)
 

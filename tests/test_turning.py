@@ -444,7 +444,8 @@ def test_light_that_is_not_modulated_has_no_speed():
 
 
 @pytest.mark.parametrize(("hz", "drift", "ramp"), [
-    (5, 0.02, 0), (60, 0.02, 0), (20, -0.02, 0), (20, 0.02, 3)])
+    pytest.param(5, 0.02, 0, marks=pytest.mark.gate), (60, 0.02, 0),
+    pytest.param(20, -0.02, 0, marks=pytest.mark.gate), (20, 0.02, 3)])
 def test_a_speed_is_found_and_followed(hz, drift, ramp):
     _, (at, turns) = pulses(hz, 6, 1, drift, ramp)
 
