@@ -21,19 +21,10 @@ MOST_HEADER = 10_000
 def array_header(
     file: IO[bytes], size: int
 ) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return shape, order (True = Fortran) and dtype of an ``.npy``.
+    """Return shape, order (True = Fortran) and dtype of an ``.npy`` of `size` bytes.
 
-    Parameters
-    ----------
-    file : binary file
-        At its beginning; afterwards at the first element.
-    size : int
-        Size of the file, bytes.
-
-    Raises
-    ------
-    ValueError
-        If the header is damaged, has objects, or claims more data than there are.
+    The file is left at its first element.  A header that is damaged, has objects or
+    claims more data than there are is a ValueError.
     """
     version = np.lib.format.read_magic(file)
     read, wide = ((np.lib.format.read_array_header_1_0, 2) if version == (1, 0)
@@ -56,25 +47,10 @@ def array_header(
 def read_arrays(
     path: str | os.PathLike[str], most_bytes: int
 ) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an ``.npz`` by name.
+    """Return the arrays of an ``.npz`` by name, read-only.
 
-    Parameters
-    ----------
-    path : path
-    most_bytes : int
-        Bound on all arrays together: a few kilobytes can unpack to 1000 times as much.
-
-    Returns
-    -------
-    dict of str to ndarray
-        Read-only.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ValueError
-        If it has another format or is damaged.
+    `most_bytes` bounds all arrays together: a few kilobytes can unpack to 1000 times as
+    much.  A file of another format or a damaged one is a ValueError.
     """
     with Path(path).open("rb") as source:
         data = source.read(len(_ZIP))

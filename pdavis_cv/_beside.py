@@ -55,10 +55,7 @@ class Place:
     def put(self, part: Path) -> None:
         """Rename a complete file in the folder of `beside` to the output, or copy it.
 
-        Raises
-        ------
-        OSError
-            If this fails; `part` remains.
+        If this fails, `part` remains.
         """
         if not self.takes_bytes:
             if part.is_file():      # its bytes, before its name
@@ -80,10 +77,7 @@ class Place:
 def takes_bytes(path: Path) -> bool:
     """Return whether bytes are written to a path, not a file renamed to it.
 
-    Raises
-    ------
-    OSError
-        As for `Place`.
+    For what cannot be an output, the error is that of `Place`.
     """
     try:
         mode = path.stat().st_mode
@@ -103,20 +97,10 @@ def takes_bytes(path: Path) -> bool:
 
 
 def sole(file: BinaryIO, path: Path) -> None:
-    """Lock an open file, so that no other process writes the same output.
+    """Lock an open file until it is closed: no other process writes the same output.
 
-    Parameters
-    ----------
-    file : binary file
-        The lock ends when it is closed.
-    path : Path
-        The output.
-
-    Raises
-    ------
-    OSError
-        If another process holds the lock.  Never on Windows or on a file system
-        without such locks.
+    If another process holds the lock, that is an OSError that names the output `path`;
+    never on Windows or on a file system without such locks.
     """
     if fcntl is None:
         return
@@ -184,12 +168,8 @@ class Unfinished:
 def clear(path: str | os.PathLike[str]) -> None:
     """Remove temporary files of killed processes for a file that is made again.
 
-    Those of live recordings are kept, as they hold the only data.
-
-    Parameters
-    ----------
-    path : path
-        Final name; its suffix does not count.
+    The suffix of its final name, `path`, does not count.  Files of live recordings are
+    kept, as they hold the only data.
     """
     path = Path(os.path.realpath(path))
     for name in _left_behind(os.path.abspath(path.parent)).get(path.stem, ()):

@@ -26,33 +26,10 @@ def output(
     out: NDArray[Any] | None, shape: tuple[int, ...], dtype: DTypeLike,
     *inputs: NDArray[Any] | None, name: str = "out",
 ) -> Image:
-    """Return ``out`` after checking it, or a new array if it is None.
+    """Return ``out`` after checking it, or a new array with undefined contents if None.
 
-    Parameters
-    ----------
-    out : ndarray or None
-        The caller's argument.
-    shape : tuple of int
-        Required shape.
-    dtype : dtype_like
-        Required dtype.
-    *inputs : ndarray or None
-        Arrays that it must not overlap.
-    name : str
-        Name of the argument in messages.
-
-    Returns
-    -------
-    ndarray
-        ``out`` itself, or a new array with undefined contents.
-
-    Raises
-    ------
-    TypeError
-        If ``out`` is not an array or has another dtype.
-    ValueError
-        If it has another shape, is not C-contiguous or not writeable, or overlaps
-        an input.
+    It must be a C-contiguous, writeable array of this shape and dtype that overlaps
+    none of the inputs; errors call it `name`.
     """
     dtype = np.dtype(dtype)
     if out is None:
@@ -165,13 +142,7 @@ def sensor_shape(shape: Sequence[int], name: str = "shape") -> tuple[int, int]:
 def checked_threshold(
     name: str, value: ArrayLike, shape: tuple[int, int]
 ) -> float | NDArray[np.float64]:
-    """Return a threshold as a float, or as a read-only copy of shape (H, W).
-
-    Raises
-    ------
-    ValueError
-        If it is neither a scalar nor (H, W), or not positive and finite.
-    """
+    """Return a threshold, positive and finite: a float, or a read-only copy, (H, W)."""
     array = floats(name, value)
     if array.shape not in ((), shape):
         raise ValueError(

@@ -7,18 +7,9 @@ from typing import Any
 
 
 def opencv() -> Any:
-    """Return the module cv2, or raise an error that says how to install it.
+    """Return cv2, 4.6 or later, or raise an ImportError that says how to install it.
 
-    Returns
-    -------
-    module
-        OpenCV 4.6 or later, any of its four wheels, or the system's.
-
-    Raises
-    ------
-    ImportError
-        If no OpenCV is installed, or one that cannot use this NumPy: wheels before
-        4.10, and Debian's 4.6, are compiled for NumPy 1.
+    Wheels before 4.10, and Debian's 4.6, are compiled for NumPy 1: the error says so.
     """
     try:
         return importlib.import_module("cv2")

@@ -67,13 +67,7 @@ class Options:
         object.__setattr__(self, name, value)
 
     def replace(self, **changes: Any) -> Self:
-        """Return these options with some changed.
-
-        Parameters
-        ----------
-        **changes
-            Options by name; any other name is taken as one of `parameters`.
-        """
+        """Return these options with some changed; others count as `parameters`."""
         names = self.facts()
         known = {name: value for name, value in changes.items() if name in names}
         parameters = {**self.parameters, **changes.pop("parameters", {})}
@@ -104,19 +98,11 @@ def names_options(*lists: type[Options], rest: str = "parameters"
                   ) -> Callable[[_F], _F]:
     """Return a decorator that writes options into a signature and a docstring.
 
-    Parameters
-    ----------
-    *lists : class
-        Lists of options; of two options of one name, the first one's text is used.
-    rest : str
-        Name, in the signature, of the keyword arguments that are no option.
-
-    Returns
-    -------
-    callable
-        Takes and returns a function, or a class with an ``__init__``, that receives the
-        options in its last parameter, ``**changes`` or another name.  A line
-        ``{options}`` of its docstring is replaced by their description.
+    It takes a function, or a class with an ``__init__``, that receives the options of
+    the lists in its last parameter, ``**changes`` or another name; of two options of
+    one name, the first one's text is used.  A line ``{options}`` of the docstring is
+    replaced by their description.  `rest` is the name, in the signature, of the keyword
+    arguments that are no option.
     """
     def decorate(function: _F) -> _F:
         called = vars(function)["__init__"] if inspect.isclass(function) else function
@@ -144,10 +130,8 @@ def changed(
 ) -> _Given:
     """Return options with some changed, of a function ``(source, options, **changes)``.
 
-    Raises
-    ------
-    TypeError
-        If `options` is something else, such as a value without its name.
+    If `options` is something else, such as a value without its name, a TypeError says
+    so.
     """
     if options is None:
         return kind().replace(**changes)

@@ -28,13 +28,7 @@ def is_remote(path: object) -> bool:
 
 
 def as_path(path: str | os.PathLike[str]) -> Path:
-    """Return a Path, or for a URL a RemotePath, which readers accept as well.
-
-    Raises
-    ------
-    RecordingError
-        If it holds a null character.
-    """
+    """Return a Path, or for a URL a RemotePath, which readers accept as well."""
     if is_remote(path):
         return cast("Path", RemotePath(str(path)))
     text = os.fspath(path)
@@ -55,13 +49,7 @@ class RemotePath(PurePosixPath):
 
     @property
     def store(self) -> Any:
-        """The fsspec file system.
-
-        Raises
-        ------
-        ImportError
-            If fsspec (extra ``[remote]``) or the scheme's library is not installed.
-        """
+        """The fsspec file system; an ImportError tells which package it lacks."""
         try:
             fsspec = importlib.import_module("fsspec")
         except ImportError as error:

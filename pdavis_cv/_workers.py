@@ -89,19 +89,10 @@ class Workers:
     ) -> None:
         """Call work(first, last) for bands that together make up an image's rows.
 
-        Returns when all bands are done; an exception in one of them is raised here.
-
-        Parameters
-        ----------
-        height : int
-            Height of the image.
-        work : callable
-            Processes the rows first <= row < last.
-        least : int
-            Smallest number of rows per band.
-        row_ns : float, optional
-            Time that a row takes, ns, of work that costs the same whatever the pixels
-            see: bands then take `LEAST_BAND_NS` at least.
+        Returns when all bands are done; an exception in one of them is raised here.  A
+        band has at least `least` rows.  `row_ns` is the time that a row takes, of work
+        that costs the same whatever the pixels see: bands then take `LEAST_BAND_NS` at
+        least.
         """
         if row_ns is not None:
             least = max(least, math.ceil(LEAST_BAND_NS / row_ns))

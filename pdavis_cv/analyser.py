@@ -120,16 +120,8 @@ def _least_squares(a: NDArray[np.float64]) -> NDArray[np.float32]:
 def stokes_gain(extinction_ratio: float | None) -> float:
     """Return the factor for S1 and S2 that corrects the polarizers' leakage.
 
-    Parameters
-    ----------
-    extinction_ratio : float or None
-        Ratio of largest to smallest response to linearly polarized light; None:
-        infinite.
-
-    Raises
-    ------
-    ValueError
-        If it is not greater than 1.
+    The extinction ratio, above 1, is that of largest to smallest response to linearly
+    polarized light; None: infinite.
     """
     if extinction_ratio is None or extinction_ratio == math.inf:
         return 1.0

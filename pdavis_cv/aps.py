@@ -85,10 +85,8 @@ def correct(
     ----------
     dn : ndarray of float32, shape (H, W)
         Reset minus signal, as read.
-    dark : array_like, shape (H, W) or scalar, optional
-        Subtracted, without clamping.
-    gain : array_like, shape (H, W) or scalar, optional
-        Multiplied after that.
+    dark, gain : array_like, shape (H, W) or scalar, optional
+        Subtracted without clamping, and multiplied after that.
     clip_dn : float, optional
         Pixels whose ``dn``, as read, is at or above this are saturated.
     valid : ndarray of bool, shape (H, W), optional
@@ -100,13 +98,6 @@ def correct(
         ``(dn - dark) * gain``; may be negative.
     valid : ndarray of bool, shape (H, W)
         False where the argument is, and where ``dn`` is saturated or NaN.
-
-    Raises
-    ------
-    TypeError
-        If ``dn`` is not float32 or ``valid`` not bool.
-    ValueError
-        If shapes differ.
     """
     if not isinstance(dn, np.ndarray) or dn.dtype != np.float32:
         kind = getattr(dn, "dtype", type(dn).__name__)
@@ -128,21 +119,12 @@ def clip_level(dn: NDArray[Any], full_scale_dn: int = 1023) -> float | None:
 
     The value of a saturated pixel does not depend on the light, so the brightest values
     of a saturated frame form a narrow peak with nothing above it.  A scene whose
-    brightest part is a uniform patch looks the same; several frames at once (shape
-    (N, H, W)) or a calibration are more reliable.
+    brightest part is a uniform patch looks the same; several frames at once, (N, H, W),
+    or a calibration are more reliable.
 
-    Parameters
-    ----------
-    dn : ndarray, shape (H, W) or (N, H, W)
-        Reset minus signal, as read, without dark and gain.
-    full_scale_dn : int
-        Largest DN of the converter.
-
-    Returns
-    -------
-    float or None
-        The lower edge of the peak; None if there is no peak in the upper quarter
-        of the converter's range.
+    ``dn`` is reset minus signal, as read, without dark and gain.  The result is the
+    lower edge of the peak, or None if there is none in the upper quarter of the
+    converter's range.
     """
     return pile_up(dn, full_scale_dn)[1]
 

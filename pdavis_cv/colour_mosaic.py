@@ -35,27 +35,16 @@ _FLOOR = 0.02
 def colour_mosaics(
     mosaic: Image, layout: Layout, method: str, valid: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
-    """Return what the pixels would measure behind each colour; own samples are kept.
+    """Return what pixels would measure behind each of `COLOURS`, float32 (3, H, W).
 
     ``"bilinear"`` takes a colour from its nearest samples behind the same polarizer.
     ``"guided"`` multiplies the pixel's own sample by the ratio of two colours in its
     surroundings, so that the detail of the image is that of all pixels.  The ratio is
     that of colours whatever the polarizer, from near by, times that of the colours'
-    polarization, from farther off.
+    polarization, from farther off.  Own samples are kept.
 
-    Parameters
-    ----------
-    mosaic : ndarray of uint8, uint16 or float32, shape (H, W), sides >= 4
-    layout : Layout
-        With colours.
-    method : {"bilinear", "guided"}
-    valid : ndarray of bool, shape (H, W), optional
-        True = usable; the samples that are not do not count.
-
-    Returns
-    -------
-    ndarray of float32, shape (3, H, W)
-        In the order of `COLOURS`.
+    The mosaic is (H, W), sides of at least 4, behind a layout with colours; samples
+    that are not `valid` do not count.
     """
     image = np.ascontiguousarray(mosaic, np.float32)
     cell = np.array(["RGB".index(c) for c in layout.colours or ()], np.uint8)
@@ -110,14 +99,10 @@ def colour_mosaics(
 
 
 def joint(quads: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return what all colours say together of polarization, shape (4, H, W).
+    """Return what all colours, (3, 4, H, W), say together of polarization, (4, H, W).
 
     The mean of all samples, of which half are green.  Where light is counted in
     electrons, that weights degree and angle of each colour by their inverse variance.
-
-    Parameters
-    ----------
-    quads : ndarray of float32, shape (3, 4, H, W)
     """
     out: NDArray[np.float32] = quads[0] + quads[2]
     out *= np.float32(0.25)

@@ -86,11 +86,7 @@ def as_events(events: Any) -> Events:
 def timed_events(events: Any) -> Events:
     """Return `as_events(events)` after checking that times can be computed with.
 
-    Raises
-    ------
-    TypeError, ValueError
-        As `as_events`, and if a time lies further than `FAR` from 0; the message names
-        the first such event.
+    An error names the first event whose time lies further than `FAR` from 0.
     """
     checked: Events = as_events(events)
     i = _kernels.check_times(checked)
@@ -116,20 +112,7 @@ def checked_time(name: str, t_us: int) -> int:
 
 
 def check_order(events: Events, name: str = "events") -> None:
-    """Raise ValueError naming the first event whose time is before its predecessor's.
-
-    Parameters
-    ----------
-    events : ndarray of EVENT_DTYPE, shape (N,)
-        Events that should be time-ordered.
-    name : str
-        Name of the argument in the message.
-
-    Raises
-    ------
-    ValueError
-        If time runs backward; the message names the first such event.
-    """
+    """Raise ValueError naming the first event whose time is before the last one's."""
     t = events["t"]
     back = np.flatnonzero(t[1:] < t[:-1])
     if back.size:
@@ -401,23 +384,10 @@ def _all_taken(events: Events, taken: int, shape: tuple[int, int]) -> None:
 def bad_event(
     events: Events, i: int, shape: tuple[int, int], last_us: int | None = None
 ) -> ValueError:
-    """Return the error for event i, at which a kernel stopped.
+    """Return the ValueError for event i, at which a kernel stopped.
 
-    Parameters
-    ----------
-    events : ndarray of EVENT_DTYPE, shape (N,)
-        The events that were passed to the kernel.
-    i : int
-        Index of the event.
-    shape : (int, int)
-        (height, width) of the sensor.
-    last_us : int, optional
-        Last time seen before ``events``.
-
-    Returns
-    -------
-    ValueError
-        Names the event, and says whether it lies outside the sensor or is late.
+    It says whether the event lies outside the sensor, (height, width), or is late:
+    before its predecessor, or `last_us`, the last time seen before ``events``.
     """
     event, (height, width) = events[i], shape
     if event["y"] >= height or event["x"] >= width or event["p"] > 1:

@@ -159,31 +159,12 @@ def demosaic(
 def demosaic_valid(
     valid: NDArray[np.bool_], layout: Layout | str, method: str = "bilinear"
 ) -> NDArray[np.bool_]:
-    """Return where the four values of ``demosaic`` come from usable samples.
+    """Return where the four values of ``demosaic`` come from usable samples only.
 
-    Parameters
-    ----------
-    valid : ndarray of bool, shape (H, W)
-        True = usable.
-    layout : Layout or str
-        Polarizer in front of each pixel.  The union of the four channels' supports
-        is the same for every layout.
-    method : {"bilinear", "superpixel", "binned", "guided"}
-        As in `demosaic`.
-
-    Returns
-    -------
-    ndarray of bool, shape (H, W), or (H/2, W/2) for the two methods per cell
-        True where all samples of the four values are usable.  For ``"guided"``, which
-        avoids unusable samples: where the pixel's own is usable and the 5x5 around it
-        contain a square of nine usable ones.
-
-    Raises
-    ------
-    TypeError
-        If ``valid`` is not bool, ``layout`` not a Layout.
-    ValueError
-        If the shape does not fit the method, as in `demosaic`.
+    The mask is (H, W), or (H/2, W/2) for the two methods per cell.  For ``"guided"``,
+    which avoids unusable samples: where the pixel's own is usable and the 5x5 around it
+    contain a square of nine usable ones.  The union of the four channels' supports is
+    the same for every layout.
     """
     valid = _checked_valid(valid)
     check_method(method, valid.shape, Layout.of(layout))
@@ -204,27 +185,13 @@ def demosaic_variance(
     variance: NDArray[np.float32], layout: Layout | str, method: str = "bilinear", *,
     valid: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
-    """Interpolate the samples' variances to the pixels of ``demosaic``.
+    """Interpolate the samples' variances, (H, W), to the pixels of ``demosaic``.
 
     A channel gets the local variance of its samples, not that of their mean: as
     neighbouring results share samples, a mean over a region accounts for them by
     `pdavis_cv.analysis.pixels_per_sample`.  At borders variances are mirrored, as
-    extrapolation could make them negative.
-
-    Parameters
-    ----------
-    variance : ndarray of float32, shape (H, W)
-        Variance of each sample, in any unit.
-    layout : Layout or str
-        Polarizer in front of each pixel.
-    method : {"bilinear", "superpixel", "binned", "guided"}
-        As in `demosaic`; for ``"guided"`` that is bilinear interpolation.
-    valid : ndarray of bool, shape (H, W)
-        True = usable; ``"guided"`` takes nothing from the others.
-
-    Returns
-    -------
-    ndarray of float32, shape (4, H, W), or (4, H/2, W/2) for the two per cell
+    extrapolation could make them negative.  For ``"guided"`` interpolation is bilinear;
+    of samples that are not `valid` it takes nothing.
     """
     check_method(method, variance.shape)
     if method == "superpixel":

@@ -170,12 +170,7 @@ GROUPS = {"quad": ("i0", "i45", "i90", "i135"), "stokes": ("s0", "s1", "s2")}
 def quantity(name: str) -> Quantity:
     """Return a quantity by its name or an alias, in any case.
 
-    Raises
-    ------
-    ValueError
-        If there is none.
-    ImportError
-        If it is another package's and cannot be used.
+    ValueError if there is none; ImportError if another package's cannot be used.
     """
     wanted = name.lower()
     if wanted not in QUANTITIES:
@@ -188,10 +183,7 @@ def quantity(name: str) -> Quantity:
 def chosen(names: Sequence[str]) -> tuple[Quantity, ...]:
     """Return the quantities that are asked for, a group as its members.
 
-    Raises
-    ------
-    ValueError
-        If one is unknown or belongs to no image, or none is given.
+    One that is unknown or belongs to no image, or none at all, is a ValueError.
     """
     if isinstance(names, str) or not names:
         raise ValueError(

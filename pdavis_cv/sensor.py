@@ -351,15 +351,9 @@ def resolve_layout(
 ) -> Layout:
     """Return the layout to use: that of the caller, the calibration or the recording.
 
-    Raises
-    ------
-    LayoutError
-        If two of them disagree.  One without colours agrees with one that has them.
-
-    Warns
-    -----
-    LayoutWarning
-        If none is known: PDAVIS is assumed, and AoP has an unknown zero.
+    Two that disagree are a LayoutError; one without colours agrees with one that has
+    them.  If none is known, a LayoutWarning says that PDAVIS is assumed, and that AoP
+    has an unknown zero.
     """
     known = [(name, layout) for name, layout in (
         ("layout argument", caller), ("calibration", calibration),

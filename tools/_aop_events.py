@@ -31,23 +31,11 @@ _LEAST_WIDTH = 240
 def export_aop_events(
     args: argparse.Namespace, recording: Recording, options: dict[str, Any]
 ) -> tuple[list[str], dict[str, Any]]:
-    """Write the AoP events of a recording.
+    """Write the AoP events of a recording to ``args.out``.
 
-    Parameters
-    ----------
-    args : Namespace
-        ``out`` (its suffix determines the output), ``slow``.
-    recording : Recording
-    options : dict
-        Options of `fuse`: interval, layout, thresholds, calibration, fps; and
-        ``parameters`` of `AopEvents`.
-
-    Returns
-    -------
-    lines : list of str
-        Text for the terminal.
-    facts : dict
-        The same for ``--json``.
+    The options are those of `fuse`: interval, layout, thresholds, calibration, fps; and
+    ``parameters`` of `AopEvents`.  Returns lines for the terminal, and the same for
+    ``--json``.
     """
     stream, facts = _stream(args, recording, options)
     pieces = (stream.add(packet.events) for packet in progress(

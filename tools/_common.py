@@ -197,24 +197,8 @@ def checked_out(
     """Raise UsageError if a command cannot write a file, or must not.
 
     Commands ask before their work, which may take minutes.  They replace the output of
-    an earlier run, but never the recording that they read, and another recording only
-    with ``--force``, as it may be irreplaceable.
-
-    Parameters
-    ----------
-    path : Path
-        The output.
-    source : path, pattern, sequence of paths or address, optional
-        The input.
-    recording : bool
-        Whether the output is a recording.
-    force : bool
-        Whether ``--force`` was given.
-
-    Raises
-    ------
-    UsageError
-        With the reason.
+    an earlier run, but never the recording that they read, `source`, and another
+    recording (if the output is one) only with ``--force``, as it may be irreplaceable.
     """
     if not path.absolute().parent.is_dir():
         raise UsageError(f"{path}: there is no folder {path.parent} to write to")
@@ -244,14 +228,7 @@ def _reads(source: Any, path: Path) -> bool:
 
 
 def require_samples(recording: Recording, start_us: int | None) -> None:
-    """Raise UsageError if a recording has no sample at start_us or later.
-
-    Parameters
-    ----------
-    recording : Recording
-    start_us : int or None
-        None = any time.
-    """
+    """Raise UsageError if a recording has no sample at start_us or later."""
     if next(recording.packets(start_us), None) is not None:
         return
     name = recording.path or "the recording"
@@ -307,14 +284,7 @@ def for_people(args: argparse.Namespace) -> contextlib.AbstractContextManager[ob
 def tell(args: argparse.Namespace, lines: Iterable[str], **facts: Any) -> None:
     """Print the result of a command: lines, or with --json an object of facts.
 
-    Parameters
-    ----------
-    args : Namespace
-        With ``json``.
-    lines : iterable of str
-        Text for users.
-    **facts
-        The same for programs; arrays and paths are converted for JSON, NaN to null.
+    Arrays and paths are converted for JSON, NaN to null.
     """
     if args.json:
         print(_as_json(facts, indent=2))

@@ -35,23 +35,8 @@ def grid_times(
 ) -> NDArray[np.int64]:
     """Return the times of fuse()'s images, so that their number is known in advance.
 
-    Parameters
-    ----------
-    recording : Recording
-        Read once to its end unless ``stop_us`` is given.
-    fps : float
-        Images per second of recording time.
-    start_us, stop_us : int or None
-        Half-open interval; default from the first frame's mid-exposure to the end.
-
-    Returns
-    -------
-    ndarray of int64, shape (T,)
-
-    Raises
-    ------
-    UsageError
-        If there is no image in the interval.
+    The interval is half-open, by default from the first frame's mid-exposure to the
+    end, for which the recording is read once.
     """
     # Times do not depend on the layout, but without one fuse would warn.
     start = Fusion(recording, method="frames", start_us=start_us,
@@ -119,21 +104,7 @@ def told_if_nothing(
     images: Iterator[PolarFrame], recording: Recording,
     calibration: Calibration | None,
 ) -> Iterator[PolarFrame]:
-    """Yield images; at the end, warn if none had a valid pixel, with the reason.
-
-    Parameters
-    ----------
-    images : iterator of PolarFrame
-    recording : Recording
-        Recording of the images.
-    calibration : Calibration or None
-        Calibration that was used.
-
-    Warns
-    -----
-    PdavisWarning
-        Once, with the likely reason.
-    """
+    """Yield images; at the end, warn if none had a valid pixel, and say why."""
     method = None
     for image in images:
         method = str(image.provenance["method"])

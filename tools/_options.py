@@ -23,22 +23,10 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 def opened(
     args: argparse.Namespace, file: AnySource | None = None
 ) -> Recording:
-    """Open a recording of any format according to the options of a command.
+    """Open a recording, ``args.file`` by default, according to a command's options.
 
     A live source is first recorded to a temporary file until it ends, as commands may
     read their input more than once.
-
-    Parameters
-    ----------
-    args : Namespace
-        With those of `addsource_options`.
-    file : path or sequence of paths, optional
-        Default: ``args.file``.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be opened.
     """
     from pdavis_cv.recording.base import Recording
     source = source_of(args, file)
@@ -51,18 +39,7 @@ def opened(
 def source_of(
     args: argparse.Namespace, file: AnySource | None = None
 ) -> Source:
-    """Open a recording or a live source according to the options of a command.
-
-    Parameters
-    ----------
-    args, file
-        As in `opened`.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be opened.
-    """
+    """Open a recording, as `opened`, or a live source as it is."""
     from pdavis_cv import open_source
     where = args.file if file is None else file
     given = source_given(args)
@@ -115,14 +92,7 @@ def add_file(
 def add_source_options(
     parser: argparse.ArgumentParser, without: Sequence[str] = ()
 ) -> None:
-    """Add what can be stated about a source.
-
-    Parameters
-    ----------
-    parser : ArgumentParser
-    without : sequence of str
-        Options that the command has itself.
-    """
+    """Add what can be stated about a source, without what the command has itself."""
     group = parser.add_argument_group("source")
     add_offered(
         group, (one for one in offered(source_options()) if one[0] not in without))
@@ -157,10 +127,7 @@ def add_fuse_options(parser: argparse.ArgumentParser) -> None:
 def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, Any]:
     """Return the keyword arguments of fuse() for the options.
 
-    Raises
-    ------
-    UsageError
-        If the recording has no sample after ``--start``.
+    A recording without a sample after ``--start`` is a UsageError.
     """
     from pdavis_cv.fusion.options import FusionOptions
     defaults = FusionOptions()
@@ -213,17 +180,8 @@ def analyser_given(args: argparse.Namespace) -> TurningAnalyser | None:
 def option_value(name: str, text: str) -> tuple[str, Any]:
     """Return name and value of an option of fuse() or a parameter of its method.
 
-    Parameters
-    ----------
-    name : str
-        Name on the command line.
-    text : str
-        Numbers of one value may be separated by slashes.
-
-    Raises
-    ------
-    UsageError
-        If the text is invalid, or the option is specific to one recording, as times.
+    Numbers of one value may be separated by slashes.  An option that is specific to one
+    recording, as times, is a UsageError.
     """
     if re.fullmatch(r"[-+.\deE]+(/[-+.\deE]+)+", text):
         text = text.replace("/", ",")

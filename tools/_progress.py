@@ -70,11 +70,7 @@ def progress_in_time(
 ) -> Iterator[Any]:
     """Yield packets and show the time that they have reached.
 
-    Parameters
-    ----------
-    packets : iterable of Packet
-    start_us, stop_us : int or None
-        Ends of the recording; without the second, the remaining time is unknown.
+    Without `stop_us`, the recording's end, the remaining time is unknown.
     """
     from tqdm import tqdm
     start, total = start_us, None

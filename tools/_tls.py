@@ -8,14 +8,7 @@ from ._common import UsageError
 
 
 def add_tls_options(parser: argparse.ArgumentParser, clients: str) -> None:
-    """Add the options that name certificates.
-
-    Parameters
-    ----------
-    parser : ArgumentParser
-    clients : str
-        What `--authority` means for clients, for the help.
-    """
+    """Add the options that name certificates; `clients`: what `--authority` means."""
     parser.add_argument("--certificate", metavar="PEM",
                         help="of this side and of who signed it: encrypts with TLS")
     parser.add_argument("--key", metavar="PEM",
@@ -24,13 +17,7 @@ def add_tls_options(parser: argparse.ArgumentParser, clients: str) -> None:
 
 
 def tls_of(args: argparse.Namespace) -> ssl.SSLContext | None:
-    """Return what the options ask for, None if they name no certificate.
-
-    Raises
-    ------
-    UsageError
-        If an option is missing or a file is not what it should be.
-    """
+    """Return what the options ask for, None if they name no certificate."""
     if args.certificate is None:
         for name in ("key", "authority"):
             if getattr(args, name) is not None:

@@ -259,10 +259,7 @@ def _range(text: str) -> tuple[str | None, float, float]:
 def _ranges(args: argparse.Namespace) -> dict[str, tuple[float, float]]:
     """Return the given ranges by quantity; a range may omit the name of the only one.
 
-    Raises
-    ------
-    UsageError
-        If the quantity is ambiguous or cannot have a range.
+    One that is ambiguous, or cannot have a range, is a UsageError.
     """
     found: dict[str, tuple[float, float]] = {}
     for name, low, high in args.ranges:

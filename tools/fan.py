@@ -117,21 +117,9 @@ def _parser() -> argparse.ArgumentParser:
 def make_fan(
     args: argparse.Namespace, recording: Recording, second: Recording | None
 ) -> tuple[list[str], dict[str, Any]]:
-    """Write the video and the measurements.
+    """Write the video and the measurements, beside those of a second camera if any.
 
-    Parameters
-    ----------
-    args : Namespace
-        Options of the command line.
-    recording : Recording
-        The fan.
-    second : Recording, optional
-        Recording of another camera.
-
-    Returns
-    -------
-    (list of str, dict of str to object)
-        Text for the user, and facts for --json.
+    Returns text for the user, and facts for --json.
     """
     options = fuse_options(args, recording)
     origin = start_of(recording)

@@ -269,13 +269,7 @@ def suited(rows: Sequence[Row], *, causal: bool = False) -> Row:
 
     It has the smallest error for moving pixels, among methods that are not much worse
     than the best one for static pixels.  If too little moves, it has the smallest error
-    for static pixels.
-
-    Parameters
-    ----------
-    rows : sequence of Row
-    causal : bool
-        Consider only methods that use no later data.
+    for static pixels.  With `causal`, only methods that use no later data count.
     """
     able = [row for row in rows if (row.trial is None or not row.trial.relative)
             and (not causal or row.causal)]
@@ -296,11 +290,7 @@ def suited(rows: Sequence[Row], *, causal: bool = False) -> Row:
 def suited_for_polarization(rows: Sequence[Row], *, causal: bool = False) -> Row:
     """Return the row with the smallest error of the channels' ratios in moving cells.
 
-    Parameters
-    ----------
-    rows : sequence of Row
-    causal : bool
-        Consider only methods that use no later data.
+    With `causal`, only methods that use no later data count.
     """
     return min((row for row in rows if not causal or row.causal),
                key=lambda row: row.by_class[_CELLS].rmse)

@@ -33,17 +33,9 @@ _CREATOR = 'Creator="pdavis_cv"'
 
 
 def get_reader(path: str | Sequence[str]) -> Callable[[Any], list[Layer]] | None:
-    """Return a reader for a file, None if it is not supported.
+    """Return a reader, from a path to layers, or None for what is not supported.
 
-    Parameters
-    ----------
-    path : str or sequence of str
-        Argument of napari; of several paths, the first is checked.
-
-    Returns
-    -------
-    callable or None
-        Function from a path to layers.
+    Of several paths, the first is checked.
     """
     first = path if isinstance(path, str) else path[0]
     if not first.lower().endswith((".tif", ".tiff")):
@@ -54,15 +46,8 @@ def get_reader(path: str | Sequence[str]) -> Callable[[Any], list[Layer]] | None
 def read_recording(path: str | Sequence[str]) -> list[Layer]:
     """Fuse a recording, one image for each of its frames, into three layers.
 
-    Parameters
-    ----------
-    path : str or sequence of str
-        A recording; of several paths, the first is read.
-
-    Returns
-    -------
-    list of (ndarray, dict, str)
-        S0, AoP (radians) and DoLP, float32 (T, H, W), NaN where not valid.
+    They are S0, AoP (radians) and DoLP, float32 (T, H, W), NaN where not valid.  Of
+    several paths, the first is read.
     """
     with open_recording(path if isinstance(path, str) else path[0]) as recording:
         return _layers(fuse(recording))
@@ -135,15 +120,8 @@ def _layers(fused: Iterable[PolarFrame]) -> list[Layer]:
 def read_stack(path: str | Sequence[str]) -> list[Layer]:
     """Read an OME-TIFF from `export.OmeTiffFile`, one layer per quantity.
 
-    Parameters
-    ----------
-    path : str or sequence of str
-        The file; of several paths, the first is read.
-
-    Returns
-    -------
-    list of (ndarray, dict, str)
-        A layer per channel, float32 (T, H, W), with scales in s and um if known.
+    A layer is float32 (T, H, W), with scales in s and um if known.  Of several paths,
+    the first is read.
     """
     import tifffile
     first = path if isinstance(path, str) else path[0]

@@ -169,24 +169,10 @@ def design(
 ) -> FloatArray:
     """Return what frames show of mean, harmonics and drift.
 
-    Parameters
-    ----------
-    law : PhaseLaw
-        Phase of the load.
-    t_us : ndarray of int64, shape (T,)
-        Middles of the exposures.
-    exposure_us : float or ndarray of float64, shape (T,)
-        Their length.
-    harmonics, degree : int
-        Number of harmonics, and degree of the drift.
-    span_us : (int, int), optional
-        Ends of the record; default those of ``t_us``.
-
-    Returns
-    -------
-    ndarray of float64, shape (T, 1 + 2 harmonics + degree)
-        Constant; cosine and sine of each harmonic, blurred; Legendre polynomials of
-        time from the first to the last image.
+    The columns of float64 (T, 1 + 2 harmonics + degree) are a constant; cosine and sine
+    of each harmonic of `law`, blurred by the exposures; and Legendre polynomials of
+    time between the ends of `span_us`, by default the first and the last of ``t_us``,
+    the middles of the exposures, int64 (T,).
     """
     turn = 2 * np.pi * law.cycles(t_us)
     blur = law.rate(t_us) * np.asarray(exposure_us) * 1e-6
@@ -204,22 +190,11 @@ def noise_of(
     law: PhaseLaw, t_us: NDArray[np.int64], exposure_us: float | FloatArray,
     values: FloatArray, degree: int,
 ) -> FloatArray:
-    """Return the covariance of the signals' noise, as if it were white.
+    """Return the covariance of the noise of signals (T, N) as if it were white, (N, N).
 
     Noise is what neither drift nor any harmonic explains, also of those that the frames
-    cannot tell apart: these change always alike, so they are no noise.
-
-    Parameters
-    ----------
-    law, t_us, exposure_us, degree
-        As in `design`.
-    values : ndarray of float64, shape (T, N)
-        Signals.
-
-    Returns
-    -------
-    ndarray of float64, shape (N, N)
-        With `inflation`.
+    cannot tell apart: these change always alike, so they are no noise.  It includes
+    `inflation`; the other arguments are those of `design`.
     """
     most = int(np.clip((len(t_us) / 2 - 1 - degree) / 2, 1, _MOST_HARMONICS))
     columns = design(law, t_us, exposure_us, most, degree)
@@ -238,23 +213,9 @@ def follow(
 ) -> PhaseLaw:
     """Find the phase of a load whose frequency is nearly known and may drift slowly.
 
-    Parameters
-    ----------
-    t_us : ndarray of int64, shape (T,)
-        Middles of the exposures, increasing; at least 8.
-    values : ndarray of float64, shape (T, N)
-        Signals.
-    hz : float
-        Frequency, to 2 %.
-    reference_us : int
-        Time of phase 0.
-    exposure_us : ndarray of float64, shape (T,)
-        Length of the exposures.
-
-    Returns
-    -------
-    PhaseLaw
-        With the lowest order, up to 3, that explains the signals.
+    Of signals, float64 (T, N), in at least 8 exposures with these middles, increasing,
+    and lengths, (T,), us.  `hz` is the frequency to 2 %, `reference_us` the time of
+    phase 0.  The law has the lowest order, up to 3, that explains the signals.
     """
     per_cycle = 1e6 / hz / float(np.median(np.diff(t_us)))
     middle, size = len(t_us) // 2, max(_FIRST_FRAMES, int(_FIRST_CYCLES * per_cycle))

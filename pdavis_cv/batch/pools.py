@@ -38,13 +38,9 @@ def pool_factory(
 ) -> Callable[[], Pool]:
     """Return a function that makes a pool; it is called again if the pool breaks.
 
-    Parameters
-    ----------
-    executor : str, Executor or callable, optional
-        One of `EXECUTORS`; an Executor, which is not shut down here and is replaced by
-        a process pool if it breaks; or a function that makes one.
-    workers : int, optional
-        Number of workers of a pool that is made here; default: one per core.
+    An Executor that is given is not shut down here, and is replaced by a process pool
+    if it breaks; a function makes one; a text is one of `EXECUTORS`.  A pool that is
+    made here has a worker per core, or `workers`.
     """
     count = workers or usable_cores()
     if executor is None or executor == "process":

@@ -92,10 +92,7 @@ class Results:
     def names(self) -> list[str]:
         """Return the names of all jobs that have a marker, sorted.
 
-        Raises
-        ------
-        FileNotFoundError
-            If there are no results.
+        FileNotFoundError if there are no results.
         """
         if not self._private.is_dir():
             raise FileNotFoundError(

@@ -41,13 +41,7 @@ class StoredResults(Results):
         return self._store / name
 
     def names(self) -> list[str]:
-        """Return the names of all jobs that have a marker, sorted.
-
-        Raises
-        ------
-        FileNotFoundError
-            If there are no results.
-        """
+        """Return the names of all jobs that have a marker, as `Results.names`."""
         found = self._store.below()
         if not found:
             raise FileNotFoundError(

@@ -42,24 +42,11 @@ class _OutOfTimeError(BaseException):
 def perform(
     job: Job, out: str, *, timeout_s: float | None = None, attempt: int = 1
 ) -> tuple[Row, bool]:
-    """Do a job, and write its result and its marker.
+    """Do a job, and write its result and its marker below a folder or URL.
 
-    Parameters
-    ----------
-    job : Job
-    out : str
-        Folder or URL of the results.
-    timeout_s : float, optional
-        Time limit, after which the work is interrupted.
-    attempt : int
-        Number of this attempt, from 1.
-
-    Returns
-    -------
-    row : dict of str to object
-        Row of the table; ``state`` is "done" or "failed".
-    again : bool
-        Whether another attempt may succeed.
+    Returns the row of the table, whose ``state`` is "done" or "failed", and whether
+    another attempt may succeed.  The work is interrupted after `timeout_s`; attempts
+    are counted from 1.
     """
     results = results_at(out)
     row = _row(job, attempt)

@@ -42,26 +42,15 @@ class Finding:
 def check_recording(
     recording: Recording, layout: Layout | None = None
 ) -> tuple[Finding, Finding]:
-    """Check whether layout and orientation of a recording of any scene are plausible.
+    """Check whether orientation and layout of a recording of any scene are plausible.
 
     Orientation: the sum of the events between two frames must resemble the difference
     of the frames.  If its mirror image does so better, events and frames were stored in
-    different orientations.  Layout: orthogonal channels have the same sum,
-    I0 + I90 = I45 + I135.  If another pairing of the cell's places fits better, the
-    layout is wrong.  A reflection of both events and frames, and a constant offset of
-    the angles, cannot be found in an unknown scene: see `detect_layout`.
-
-    Parameters
-    ----------
-    recording : Recording
-        With frames; events too for the orientation.
-    layout : Layout, optional
-        Default: the recording's, else PDAVIS.
-
-    Returns
-    -------
-    (Finding, Finding)
-        Orientation and layout.
+    different orientations.  Layout: orthogonal channels have the same sum, I0 + I90 =
+    I45 + I135.  If another pairing of the cell's places fits better, the layout (by
+    default the recording's, else PDAVIS) is wrong.  A reflection of both events and
+    frames, and a constant offset of the angles, cannot be found in an unknown scene:
+    see `detect_layout`.
     """
     layout = layout or recording.info.layout or Layout.PDAVIS
     turned = dict.fromkeys(_FLIPS, 0.0)

@@ -34,8 +34,6 @@ class Clipping:
     def after(self, frame: ApsFrame) -> Clipping:
         """Return the estimate updated with one more frame.
 
-        Notes
-        -----
         A saturated pixel never gets brighter.  So a peak is discarded when a frame
         shows values above it by more than its width, and a peak that lies as far below
         the values of earlier frames is taken as part of the scene.
@@ -79,13 +77,7 @@ class FrameCorrection:
         self.clipping = Clipping(0)
 
     def __call__(self, frame: ApsFrame) -> ApsFrame:
-        """Return the next frame without dark and gain; unusable pixels are not valid.
-
-        Parameters
-        ----------
-        frame : ApsFrame
-            The whole sensor.
-        """
+        """Return the next frame without dark and gain; unusable pixels are marked."""
         known = self._known
         dark, gain, clip_dn = (None, None, None) if known is None else (
             known.dark, known.gain, known.clip_dn)

@@ -89,14 +89,7 @@ def frames_of(
     start_us: int | None = None,
     stop_us: int | None = None,
 ) -> Iterator[ApsFrame]:
-    """Iterate over the frames whose exposure lies inside an interval.
-
-    Parameters
-    ----------
-    source : Recording or iterable of ApsFrame
-    start_us, stop_us : int, optional
-        Half-open interval; default all.
-    """
+    """Iterate over the frames whose exposure lies in [start_us, stop_us)."""
     frames = (frame for packet in source.packets(start_us) for frame in packet.frames
               ) if isinstance(source, Recording) else iter(source)
     for frame in frames:

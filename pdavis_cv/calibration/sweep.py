@@ -278,22 +278,9 @@ def steps_in_time(
 ) -> Iterator[tuple[float, Iterator[ApsFrame]]]:
     """Divide a recording of a stepped polarizer into the steps for `read_sweep`.
 
-    The recording is read when `read_sweep` iterates over the steps.
-
-    Parameters
-    ----------
-    recording : Recording
-    angles : array_like of float, shape (N,)
-        Radians.
-    starts_us : sequence of int
-        Times at which the angles were reached.
-    dwell_us : int
-        Time for which the polarizer stood still at each angle.
-
-    Yields
-    ------
-    (float, iterator of ApsFrame)
-        Angle in radians, and the frames that were exposed while it stood still.
+    Yields each angle, radians, with the frames that were exposed while the polarizer
+    stood still there, for `dwell_us` from its time in `starts_us` on.  The recording is
+    read when `read_sweep` iterates over them.
     """
     for angle, start in zip(np.asarray(angles), starts_us, strict=True):
         yield float(angle), frames_of(recording, start, start + dwell_us)

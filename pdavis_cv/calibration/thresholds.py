@@ -89,18 +89,10 @@ def resolve_thresholds(
     nominal: tuple[ArrayLike, ArrayLike],
     calibration: Calibration | None,
 ) -> tuple[Theta, Theta]:
-    """Return the thresholds to use, as documented in ``fuse``.
+    """Return the thresholds ON and OFF to use, as documented in ``fuse``.
 
-    For "in-situ" these are the values from which the estimation starts.
-
-    Returns
-    -------
-    (theta_on, theta_off) : floats or ndarrays of float32, shape (H, W)
-
-    Raises
-    ------
-    TypeError, ValueError
-        If the choice is unknown or unavailable, or a value is not positive.
+    Each is a float or float32 (H, W).  For "in-situ" these are the values from which
+    the estimation starts.
     """
     size = recording.info.sensor_size
     if isinstance(thresholds, str) and thresholds == "in-situ":

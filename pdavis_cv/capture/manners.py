@@ -29,14 +29,7 @@ def _cv2() -> Any:
 def raise_like_cv2(function: str, message: str, code: int = StsError) -> NoReturn:
     """Raise cv2.error (PdavisError without OpenCV) with cv2's attributes.
 
-    Parameters
-    ----------
-    function : str
-        Name of the method that failed.
-    message : str
-        Description of the error.
-    code : int
-        OpenCV's number for the kind of error.
+    `function` is the method that failed, `code` OpenCV's number for the kind of error.
     """
     kind: Any = PdavisError if _cv2() is None else _cv2().error
     error = kind(f"pdavis_cv: error: ({code}) {message} in function '{function}'")

@@ -36,13 +36,7 @@ class Output:
 
 
 def output_named(name: str) -> Output:
-    """Return an output by its name, in which a quantity may have its alias.
-
-    Raises
-    ------
-    ValueError
-        If there is none.
-    """
+    """Return an output by its name, in which a quantity may have its alias."""
     lower = name.lower()
     if lower in GROUPS:
         return Output(lower, tuple(map(quantity, GROUPS[lower])))
@@ -84,13 +78,7 @@ def outputs() -> tuple[str, ...]:
 
 
 def output_at(number: int) -> Output:
-    """Return the output of a number.
-
-    Raises
-    ------
-    LookupError
-        If there is none.
-    """
+    """Return the output of a number; LookupError if there is none."""
     if 0 <= number < len(_fixed()):
         return _fixed()[number]
     names = outputs()
@@ -101,20 +89,7 @@ def output_at(number: int) -> Output:
 
 
 def number_of(value: int | str) -> int:
-    """Return the number of an output.
-
-    Parameters
-    ----------
-    value : int or str
-        ``CAP_PDAVIS_*``, or its name, such as ``"aop"``.
-
-    Raises
-    ------
-    TypeError
-        If it is several.
-    ValueError
-        If there is no output of this name.
-    """
+    """Return the number of an output: itself, or of a name such as ``"aop"``."""
     if isinstance(value, (list, tuple)):
         raise TypeError(f"output must be one name, got {value!r}; retrieve(flag) gives "
                         "others of the same image")

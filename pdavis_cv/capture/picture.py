@@ -28,17 +28,9 @@ def first_frame(recording: Recording) -> ApsFrame | None:
 def white_level(uses_frames: bool, frame: ApsFrame | None) -> float:
     """Return the intensity that is shown as white: full scale of the converter.
 
-    Parameters
-    ----------
-    uses_frames : bool
-        Whether the method uses frames; otherwise it has a scale of its own.
-    frame : ApsFrame or None
-        The first frame, which has the converter's range and the exposure.
-
-    Returns
-    -------
-    float
-        In the unit of S0 / 2: DN per ms of exposure, or DN if the exposure is unknown.
+    It is in the unit of S0 / 2: DN per ms of exposure, or DN if the exposure is
+    unknown.  A method without frames has a scale of its own; the first frame tells the
+    converter's range and the exposure.
     """
     if frame is None or not uses_frames:
         return WHITE_WITHOUT_FRAMES
@@ -48,19 +40,8 @@ def white_level(uses_frames: bool, frame: ApsFrame | None) -> float:
 def tone(white: float, gain: float, gamma: float, log: bool) -> ToneCurve:
     """Return the curve from S0 / 2 to grey.
 
-    Parameters
-    ----------
-    white : float
-        Value that is white at gain 1.
-    gain, gamma : float
-        Positive.
-    log : bool
-        Logarithmic over three decades instead of linear.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If `gain` or `gamma` is not a positive number.
+    At gain 1, `white` is white; gain and gamma must be positive.  `log` is logarithmic
+    over three decades instead of linear.
     """
     for name, value in (("gain", gain), ("gamma", gamma)):
         if isinstance(value, bool) or not isinstance(
@@ -72,24 +53,12 @@ def tone(white: float, gain: float, gamma: float, log: bool) -> ToneCurve:
 
 
 def plane(frame: PolarFrame, output: Output) -> NDArray[Any]:
-    """Return the numbers of an output; for a picture, those that it shows.
+    """Return the numbers of an output, not of events; of a picture, those it shows.
 
-    Parameters
-    ----------
-    frame : PolarFrame
-    output : Output
-        Not of events.
-
-    Returns
-    -------
-    ndarray of float32 or the quantity's dtype, shape (H, W) or (H, W, channels)
-        A new array.  For the picture of an intensity it is divided by the greatest
-        part of the converter's full scale that it can reach: S0 / 2.
-
-    Raises
-    ------
-    ValueError
-        If the method does not provide it.
+    A new array, (H, W) or (H, W, channels), of float32 or the quantity's dtype.  For
+    the picture of an intensity it is divided by the greatest part of the converter's
+    full scale that it can reach: S0 / 2.  What the method does not provide is a
+    ValueError.
     """
     planes = [one.of(frame) for one in output.quantities]
     if len(planes) > 1:
@@ -102,26 +71,11 @@ def plane(frame: PolarFrame, output: Output) -> NDArray[Any]:
 
 
 def colour(frame: PolarFrame, output: Output, curve: ToneCurve) -> NDArray[np.uint8]:
-    """Return the picture of an output.
+    """Return the picture of an output, not of events, uint8 (H, W, 3), BGR.
 
-    Parameters
-    ----------
-    frame : PolarFrame
-    output : Output
-        Not of events.
-    curve : ToneCurve
-        Of intensities; see `tone`.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W, 3)
-        BGR.  Pixels that are not valid are hatched, and of intensities, which
-        stay grey for detectors, black.
-
-    Raises
-    ------
-    ValueError
-        If the method does not provide it.
+    Intensities go through the curve of `tone`.  Pixels that are not valid are hatched,
+    and of intensities, which stay grey for detectors, black.  What the method does not
+    provide is a ValueError.
     """
     one = output.quantity
     if one.light:

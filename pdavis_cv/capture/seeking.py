@@ -100,18 +100,7 @@ class Cursor:
     # ---- movement ------------------------------------------------------------
 
     def seek(self, index: int) -> int:
-        """Move so that the next image is number index, or to the end if there is none.
-
-        Parameters
-        ----------
-        index : int
-            Clamped to 0 .. number of images.
-
-        Returns
-        -------
-        int
-            Number of the next image.
-        """
+        """Move to image number index, clamped to 0 .. their number, and return it."""
         index = max(index, 0)
         place = bisect_right(self.kept, index) - 1
         known = self._kept[place] if place >= 0 else None

@@ -25,17 +25,10 @@ _VIEW = ("output", "gain", "gamma", "log")
 def is_ours(source: Any, backend: int, parameters: Parameters) -> bool:
     """Return whether a source is opened here and not by cv2.
 
-    That is so for recordings and live sources, their addresses, and files with the name
-    of a recording, and for several files; and, if a layout or a sensor is given, for
-    every path, which is then a mosaic video or image sequence.
-
-    Parameters
-    ----------
-    source : path, address, Source or anything that cv2 accepts
-    backend : int
-        ``CAP_PDAVIS`` = here, 0 = depends on the source, others = cv2.
-    parameters : mapping of str to object
-        Those of VideoCapture.
+    ``CAP_PDAVIS`` as backend says so, 0 leaves it to the source, others mean cv2.  Ours
+    are recordings and live sources, their addresses, and files with the name of a
+    recording, and several files; and, if `parameters` have a layout or a sensor, every
+    path, which is then a mosaic video or image sequence.
     """
     mosaic = any(parameters.get(name) is not None for name in (
         "layout", "sensor", "analyser_steps"))
@@ -48,13 +41,7 @@ def is_ours(source: Any, backend: int, parameters: Parameters) -> bool:
 
 
 def opened(source: Any, parameters: Parameters) -> Source:
-    """Open a source with this package.
-
-    Raises
-    ------
-    OSError
-        If it cannot be opened or has another format.
-    """
+    """Open a source with this package."""
     if isinstance(source, Source):
         return source
     if isinstance(source, int) and not isinstance(source, bool):
@@ -83,17 +70,9 @@ def checked_parameters(parameters: Parameters) -> None:
 
 
 def parameters_of(params: Sequence[float]) -> dict[str, Any] | None:
-    """Return the keyword arguments for the pairs of property and value of cv2's open.
+    """Return the keyword arguments for cv2's property, value, property, value, ...
 
-    Parameters
-    ----------
-    params : sequence of number
-        Property, value, property, value, ...
-
-    Returns
-    -------
-    dict or None
-        None if a property or a value is unknown.
+    None if a property or a value is unknown.
     """
     values = list(params)
     if len(values) % 2:

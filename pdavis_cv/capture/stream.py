@@ -45,12 +45,7 @@ class LiveCursor:
     def advance(self) -> bool:
         """Wait for the next image; return False at the end of the stream.
 
-        Raises
-        ------
-        TimeoutError
-            If none came in time; the call may be repeated.
-        DeviceError
-            If the device was disconnected.
+        After a TimeoutError, that none came in time, the call may be repeated.
         """
         image = self.session.read(self.timeout_s)
         if image is None:
@@ -66,13 +61,7 @@ class LiveCursor:
         return self._image
 
     def seek(self, index: int) -> int:
-        """Do nothing if index is the current position.
-
-        Raises
-        ------
-        ValueError
-            If it is any other.
-        """
+        """Do nothing if index is the current position; any other is a ValueError."""
         if index != self.index:
             raise ValueError("a live source has no positions: images come once")
         return self.index

@@ -104,25 +104,10 @@ def to_json(facts: Facts) -> str:
 
 
 def embed(path: str | os.PathLike[str], facts: Facts) -> None:
-    """Add facts to a finished video or animation.
+    """Add facts, as JSON, to a finished video or animation, in place.
 
     They become a box in MP4, a tag in Matroska, a chunk in AVI and WebP, a comment in
-    GIF.
-
-    Parameters
-    ----------
-    path : path
-        ``.webm``, ``.mp4``, ``.m4v``, ``.mkv``, ``.avi``, ``.gif`` or ``.webp``;
-        changed in place.  Players ignore the addition.
-    facts : mapping of str to object
-        Facts, written as JSON.
-
-    Raises
-    ------
-    ValueError
-        If the file has another format.
-    OSError
-        If it cannot be written.
+    GIF; players ignore them.  Another format is a ValueError.
     """
     text = to_json(facts).encode()
     with Path(path).open("r+b") as file:
@@ -180,20 +165,7 @@ def read_embedded(path: str | os.PathLike[str]) -> dict[str, Any] | None:
 
 
 def embed_png(data: bytes, facts: Facts) -> bytes:
-    """Return PNG data with facts as a text chunk after the header.
-
-    Parameters
-    ----------
-    data : bytes
-        A PNG file.
-    facts : mapping of str to object
-        Facts, written as JSON.
-
-    Raises
-    ------
-    ValueError
-        If the data are not PNG.
-    """
+    """Return PNG data with facts, as JSON, in a text chunk after the header."""
     if not data.startswith(_PNG_START):
         raise ValueError(f"data must be PNG, got first bytes {data[:4]!r}")
     body = b"iTXt" + _PNG_KEY + b"\0" * 5 + to_json(facts).encode()

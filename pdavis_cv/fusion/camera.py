@@ -88,20 +88,10 @@ def resolved_extinction_ratio(
 def response_of(
     layout: Layout, calibration: Calibration | None, rows: slice, columns: slice
 ) -> NDArray[np.float64]:
-    """Return the response of each pixel of a window to S0, S1, S2.
+    """Return the response of each pixel of a window to S0, S1, S2, float64 (H, W, 3).
 
-    Parameters
-    ----------
-    layout : Layout
-        Layout of the window.
-    calibration : Calibration or None
-        Its analyser matrix is used if it has one; otherwise polarizers are ideal.
-    rows, columns : slice
-        The window.
-
-    Returns
-    -------
-    ndarray of float64, shape (H, W, 3), or (2, 2, 3) for ideal polarizers
+    It is that of the calibration's analyser matrix; without one, (2, 2, 3) of the cell
+    of ideal polarizers of the window's layout.
     """
     if calibration is not None and calibration.analyser is not None:
         return np.ascontiguousarray(calibration.analyser[rows, columns], np.float64)
@@ -116,18 +106,9 @@ def analyser_of(
 ) -> Analyser | None:
     """Return the channels' responses in the image of a window, None if unknown.
 
-    Parameters
-    ----------
-    calibration : Calibration or None
-    window : (slice, slice)
-        Rows and columns of the sensor.
-    layout : Layout
-        Layout of the window.
-    demosaic : {"bilinear", "superpixel", "binned", "guided"}
-        How intensities are interpolated.  The responses are interpolated the same way;
-        for ``"guided"`` bilinearly, after division by the pixels' gain.
-    crop : (slice, slice) or None
-        The part of the window that the image shows; None = all of it.
+    They are interpolated as `demosaic` interpolates intensities; for ``"guided"``
+    bilinearly, after division by the pixels' gain.  The layout is that of the window;
+    `crop` is the part of it that the image shows, None = all.
     """
     if calibration is None or calibration.analyser is None:
         return None

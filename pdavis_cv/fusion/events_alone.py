@@ -131,19 +131,9 @@ class EventScale(NamedTuple):
 def ratio_spread(
     sample: PixelSample, nominal: tuple[ArrayLike, ArrayLike]
 ) -> RatioSpread | None:
-    """Return the spread of the pixels' ratios.
+    """Return the spread of the pixels' ratios, None if there are too few events.
 
-    Parameters
-    ----------
-    sample : PixelSample
-        Holds the events.
-    nominal : (on, off)
-        Thresholds, scalars or (H, W), from whose ratio the spread is counted.
-
-    Returns
-    -------
-    RatioSpread or None
-        None if there are too few events for an estimate.
+    It is counted from the ratio of the nominal thresholds (on, off), scalars or (H, W).
     """
     data = sample.sampled()
     if not len(data.t):
@@ -190,14 +180,9 @@ def line_ratios(
     """Return each pixel's ln(theta_on / theta_off) by its line, less the prior's.
 
     It is the ratio that ``rebalance`` (_kernels/_redundancy.pyx) has after all events;
-    NaN where a pixel has too few, or the light changed in one sense only.
-
-    Parameters
-    ----------
-    pixel, rose : ndarray, shape (N,)
-        Pixel of each event, sorted, and whether it is ON; those of a pixel by time.
-    on, off : ndarray of float64, shape (K,)
-        Thresholds of the prior.
+    NaN where a pixel has too few, or the light changed in one sense only.  `pixel`,
+    sorted, and `rose`, whether it is ON, are those of each event, (N,), of a pixel by
+    time; `on` and `off`, (K,), the prior's thresholds.
     """
     polarity = rose.astype(np.float64)
     n = np.bincount(pixel, minlength=len(on)).astype(np.float64)
@@ -229,19 +214,8 @@ def event_scale(
     """Return the scale of the thresholds with which the four channels agree best.
 
     The misfit is the quality of `EventRedundancy`: 0 if one set of gains explains all
-    data.
-
-    Parameters
-    ----------
-    sample : PixelSample
-        Holds the events.
-    nominal : (on, off)
-        Thresholds, scalars or (H, W).
-
-    Returns
-    -------
-    EventScale or None
-        None if there are too few events, or no light that they agree on.
+    data.  The nominal thresholds (on, off) are scalars or (H, W).  None if there are
+    too few events, or no light that they agree on.
     """
     misfit = _misfit_of(sample, nominal)
     if misfit is None:

@@ -105,13 +105,7 @@ class Feed:
         return int(self._events[0]["t"][0]) if self._events else None
 
     def until(self, t_us: int | None) -> Iterator[ApsFrame | Events]:
-        """Yield everything up to t_us, inclusive, that has not been yielded yet.
-
-        Parameters
-        ----------
-        t_us : int or None
-            None = the end of the recording.
-        """
+        """Yield what is not yet yielded up to t_us, inclusive; None = to the end."""
         target = _FOREVER if t_us is None else t_us
         # Yield while reading, so that a jump over a long time needs bounded memory.
         while not self._knows(target) and self._read():
@@ -144,12 +138,9 @@ class Feed:
     def reaching(self, t_us: int) -> Iterator[int | None]:
         """Read until the stream has a sample at or after t_us.
 
-        Yields
-        ------
-        int or None
-            Time of a frame up to which everything has been read, so that `until` this
-            time needs no reading; only with `by_arrival`.  None if the stream ends
-            before t_us.
+        Yields the times of frames up to which everything has been read, so that `until`
+        such a time needs no reading, only with `by_arrival`; and None if the stream
+        ends before t_us.
         """
         if self._stop_us is not None:
             if t_us >= self._stop_us:

@@ -82,22 +82,11 @@ class ImageMaker:
         self, method: Reconstructor, t_us: int, frame_us: int | None,
         provenance: Facts,
     ) -> PolarFrame | Callable[[], PolarFrame]:
-        """Return the image that a method's state gives at t_us, or what makes it.
+        """Return the image that a method's state, fed for t_us, gives, or its maker.
 
-        Parameters
-        ----------
-        method : Reconstructor
-            Fed as far as it needs for t_us.
-        t_us : int
-        frame_us : int or None
-            Mid-exposure of the last frame used.
-        provenance : mapping of str to object
-
-        Returns
-        -------
-        PolarFrame or callable
-            An image that is held, or a function that makes one: it may be called in
-            another thread while the state goes on, and more than once.
+        `frame_us` is the mid-exposure of the last frame used.  The result is an image
+        that is held, or a function that makes one: it may be called in another thread
+        while the state goes on, and more than once.
         """
         shown = method.shows(t_us)
         if shown is not None and self._last is not None and self._last[0] is shown:

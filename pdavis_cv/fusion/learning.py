@@ -194,14 +194,8 @@ class Learning:
     def beginning(self, source: Source, packets: Iterator[Packet]) -> Tuning:
         """Return the tuning estimated from the beginning of a source.
 
-        The estimate is cached by source, so that a second call reads nothing.
-
-        Parameters
-        ----------
-        source : Source
-            The stream to reconstruct.
-        packets : iterator of Packet
-            Packets of the source; read as far as the sample's window reaches.
+        Its packets are read as far as the sample's window reaches.  The estimate is
+        cached by source, so that a second call reads nothing.
         """
         if not self.wanted:
             return self.prior
@@ -271,14 +265,8 @@ def learned_pixels(
 ) -> LearnedPixels:
     """Return what all pixels of a camera have in common, as frames and events show it.
 
-    Parameters
-    ----------
-    recording : Recording
-        Of which at most 10 s are read.
-    nominal : (on, off)
-        Thresholds that are expected, scalars or (H, W).
-    calibration : Calibration, optional
-        Its dark, gain and clip level are applied to the frames.
+    At most 10 s are read.  The nominal thresholds (on, off) are scalars or (H, W);
+    dark, gain and clip level of the calibration are applied to the frames.
     """
     sample = PixelSample(recording.info.sensor_size)
     for _ in _fed(sample, recording, recording.packets(), calibration):

@@ -90,12 +90,8 @@ class InOrderState(_MethodState):
     def add_frame(self, frame: ApsFrame, clock_us: int = 0) -> None:
         """Add a corrected frame of the whole sensor.
 
-        Parameters
-        ----------
-        frame : ApsFrame
-        clock_us : int
-            Added to its exposure times for the method; the sample tells the clock's
-            offset and gets the frame unchanged.
+        `clock_us` is added to its exposure times for the method; the sample tells the
+        clock's offset and gets the frame unchanged.
         """
         if self.sample is not None:
             self.sample.add_frame(frame)
@@ -313,14 +309,8 @@ def make_state(
 ) -> InOrderState | ArrivalState:
     """Return a state that feeds the method in the order it needs.
 
-    Parameters
-    ----------
-    make_method : callable
-        Makes the method, of the size of the window.
-    window, sample
-        As for `InOrderState`.
-    causal : bool
-        Whether frames are fed at their arrival instead of their mid-exposure.
+    `make_method` makes one of the window's size; with `causal` frames are fed at their
+    arrival instead of their mid-exposure.  See `InOrderState`.
     """
     method = make_method()
     if not (causal and method.needs.frames):

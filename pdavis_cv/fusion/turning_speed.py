@@ -28,10 +28,7 @@ _KEPT = 0.9
 def found_hz(recording: Recording) -> float | None:
     """Return the frequency of a modulation of all the light, Hz, None if there is none.
 
-    Parameters
-    ----------
-    recording : Recording
-        Of which the first second with events is read.
+    The first second with events is read.
     """
     t, block, sign = _events(recording, _WINDOW_S)
     return None if not len(t) else _strongest(t - t[0], block, sign)
@@ -40,19 +37,9 @@ def found_hz(recording: Recording) -> float | None:
 def found_segments(recording: Recording, phase: float = 0.0) -> NDArray[np.float64]:
     """Return twice the angle of an analyser, as `TurningAnalyser.segments` does.
 
-    The frequency is that of the middle of the recording; from there the phase is
-    followed to both ends.
-
-    Parameters
-    ----------
-    recording : Recording
-    phase : float
-        Angle at the first event, radians.
-
-    Raises
-    ------
-    ValueError
-        If no modulation stands out.
+    The frequency is that of the middle of the recording; from there the phase, which is
+    the angle at the first event, radians, is followed to both ends.  If no modulation
+    stands out, that is a ValueError.
     """
     t, block, sign = _events(recording)
     middle = (t[0] + t[-1]) / 2 if len(t) else 0.0

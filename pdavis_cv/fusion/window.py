@@ -111,17 +111,10 @@ def checked_roi(roi: Roi | None, size: tuple[int, int], demosaic: str) -> Roi:
 
 
 def window_of(roi: Roi, size: tuple[int, int], margin: int) -> Window:
-    """Return the window that has to be computed for a region.
+    """Return the window of a sensor (height, width) that a region (x, y, w, h) needs.
 
-    Parameters
-    ----------
-    roi : (int, int, int, int)
-        (x, y, width, height).
-    size : (int, int)
-        (height, width) of the sensor.
-    margin : int
-        Distance in pixels up to which a pixel's result depends on others: that of the
-        method plus that of demosaicing.
+    A pixel's result depends on others up to `margin` pixels away: that of the method
+    plus that of demosaicing.
     """
     x, y, w, h = roi
     margin += margin % 2

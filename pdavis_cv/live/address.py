@@ -97,13 +97,7 @@ def open_source(
 
 
 def number(name: str, text: str, kind: Callable[[str], Any] = float) -> Any:
-    """Return a value of an address as a number.
-
-    Raises
-    ------
-    ValueError
-        If it is not a number; the message names it.
-    """
+    """Return a value of an address as a number; a ValueError names it if it is none."""
     try:
         return kind(text)
     except ValueError:
@@ -115,17 +109,9 @@ def options_of(
 ) -> dict[str, Any]:
     """Return the values of an address as an opener's keyword arguments.
 
-    Parameters
-    ----------
-    opener : callable
-        Its keyword-only parameters are the names allowed, and their defaults tell the
-        types; one with ``**values`` gets all texts.
-    values : dict of str to str
-
-    Raises
-    ------
-    ValueError
-        If a value has another name or is not a number.
+    Its keyword-only parameters are the names allowed, and their defaults tell the
+    types; one with ``**values`` gets all texts.  Another name, or what is no number, is
+    a ValueError.
     """
     known = inspect.signature(opener).parameters.values()
     if any(one.kind is one.VAR_KEYWORD for one in known):

@@ -43,18 +43,8 @@ def _driver() -> Any:
 def listed() -> list[dict[str, str | None]]:
     """Return the DAVIS346 cameras that are plugged in.
 
-    Returns
-    -------
-    list of dict
-        ``name``, ``serial``, ``connection`` and ``error``, the reason why a camera
-        cannot be opened.
-
-    Raises
-    ------
-    ImportError
-        If the driver is not installed.
-    DeviceError
-        If the system's USB devices cannot be listed.
+    Of each ``name``, ``serial``, ``connection`` and ``error``, the reason why a camera
+    cannot be opened.
     """
     driver = _driver()
     try:
@@ -67,13 +57,7 @@ def listed() -> list[dict[str, str | None]]:
 
 
 def address_of(index: int) -> str:
-    """Return the address of a camera by its number, as cv2 counts them.
-
-    Raises
-    ------
-    DeviceError
-        If there are fewer cameras.
-    """
+    """Return the address of a camera by its number, as cv2 counts them."""
     found = listed()
     if not 0 <= index < len(found):
         raise DeviceError(

@@ -41,11 +41,7 @@ class HostClock:
     def saw(self, device_us: int, host_s: float) -> None:
         """Note that a sample with stamp device_us had arrived at host_s.
 
-        Parameters
-        ----------
-        device_us : int
-        host_s : float
-            On a clock that never jumps, such as ``time.monotonic``.
+        That is of a clock that never jumps, such as ``time.monotonic``.
         """
         difference = host_s - device_us * 1e-6
         if self._now is None or host_s - self._since_s > self._window_s:
@@ -87,13 +83,7 @@ def in_order(packets: Iterator[Packet], log: ProblemLog) -> Iterator[Packet]:
 
     A step back by more than a second means that the clock was reset: the later packets
     are shifted in time to follow the earlier ones, as a new segment.  Samples that are
-    late by less are dropped and counted.
-
-    Parameters
-    ----------
-    packets : iterator of Packet
-    log : ProblemLog
-        Where segments and dropped samples are noted.
+    late by less are dropped and counted.  The log notes both.
     """
     timeline = Timeline()
     jumps = offset = 0

@@ -145,15 +145,7 @@ def size_of(packet: Packet) -> int:
 
 
 def fitting(first: Packet, others: Iterable[Packet]) -> int:
-    """Return how many of the next packets can be joined with the first.
-
-    Parameters
-    ----------
-    first : Packet
-        The first packet.
-    others : iterable of Packet
-        The packets that follow it.
-    """
+    """Return how many of the next packets can be joined with the first."""
     begin = first.until_us if first.start_us is None else first.start_us
     events, frames, n = len(first.events), len(first.frames), 0
     for other in others:
@@ -167,13 +159,7 @@ def fitting(first: Packet, others: Iterable[Packet]) -> int:
 
 
 def together(parts: Sequence[Packet]) -> Packet:
-    """Join successive packets into one.
-
-    Parameters
-    ----------
-    parts : sequence of Packet
-        At least one packet.
-    """
+    """Join successive packets, at least one, into one."""
     if len(parts) == 1:
         return parts[0]
     until = [part.until_us for part in parts if part.until_us is not None]

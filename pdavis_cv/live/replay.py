@@ -110,13 +110,7 @@ class ReplaySource(LiveSource):
 
 
 def pieces(packet: Packet) -> Iterator[Packet]:
-    """Yield a packet in pieces of at most `PIECE_US`.
-
-    Yields
-    ------
-    Packet
-        Its arrays are views.
-    """
+    """Yield a packet in pieces of at most `PIECE_US`, whose arrays are views."""
     start, stop = packet.start_us, packet.stop_us
     if start is None or stop is None:
         return

@@ -63,14 +63,7 @@ class UsbSource(LiveSource):
 
 
 def open_usb(address: Address, **values: str) -> UsbSource:
-    """Open ``usb:SERIAL``, the first camera if none is given.
-
-    Parameters
-    ----------
-    address : Address
-    **values
-        `SETTINGS` of the camera.
-    """
+    """Open ``usb:SERIAL``, the first camera if none is given, with these `SETTINGS`."""
     settings = {name: number(name, values.pop(name), int)
                 for name in SETTINGS if name in values}
     if values:

@@ -253,18 +253,9 @@ def _member(archive: zipfile.ZipFile, name: str) -> bytes:
 def read_state_dict(path: str | Path) -> Mapping[str, Array]:
     """Return the ``state_dict`` of a checkpoint by name.
 
-    Parameters
-    ----------
-    path : path
-        A file that ``torch.save`` wrote, as a zip or as before torch 1.6.
-
-    Raises
-    ------
-    WeightsError
-        If the file is not such a checkpoint, is damaged, or its pickle asks for
-        anything that a state dict does not need; nothing of it has been executed.
-    OSError
-        If it cannot be opened.
+    The file was written by ``torch.save``, as a zip or as before torch 1.6.  A
+    WeightsError says that it is not such a checkpoint, is damaged, or that its pickle
+    asks for anything that a state dict does not need; nothing of it has been executed.
     """
     try:
         with Path(path).open("rb") as file:
@@ -295,17 +286,10 @@ def _refuse(path: str | Path, why: str) -> NoReturn:
 
 
 def firenet_weights(path: str | Path) -> Weights:
-    """Return the weights of a published FireNet checkpoint.
+    """Return the weights of a published FireNet checkpoint, from counts to intensity.
 
-    Returns
-    -------
-    Weights
-        Weights of network ``firenet``, from counts of events to intensity.
-
-    Raises
-    ------
-    WeightsError
-        If `read_state_dict` refuses it, or it is of another network.
+    A WeightsError says that `read_state_dict` refuses it, or that it is of another
+    network.
     """
     state = read_state_dict(path)
     ours: dict[str, Array] = {}

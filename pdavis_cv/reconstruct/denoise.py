@@ -99,22 +99,10 @@ class EventDenoiser:
         return self._hot.astype(np.bool_)
 
     def keep(self, events: Any) -> NDArray[np.bool_]:
-        """Process events and return which are kept.
+        """Process events that follow those taken earlier; return which are kept.
 
-        Parameters
-        ----------
-        events : ndarray of EVENT_DTYPE, shape (N,)
-            Time-ordered, not before those taken earlier; or what `as_events` accepts.
-
-        Returns
-        -------
-        ndarray of bool, shape (N,)
-
-        Raises
-        ------
-        ValueError
-            If an event lies outside the sensor or is late; the message names it, and
-            those before it have been taken.
+        If an event lies outside the sensor or is late, a ValueError names it, and those
+        before it have been taken.
         """
         events = timed_events(events)
         keep = np.zeros(len(events), np.uint8)

@@ -15,11 +15,9 @@ from pdavis_cv.recording.base import ApsFrame
 
 
 def log_exposure(frame: ApsFrame) -> NDArray[np.float32]:
-    """Return ln of each column's exposure in ms; 0 (plain DN) where it is unknown.
+    """Return ln of each column's exposure in ms, float32 (W,).
 
-    Returns
-    -------
-    ndarray of float32, shape (W,)
+    It is 0 (plain DN) where the exposure is unknown.
     """
     ms = np.subtract(frame.exposure_end_us, frame.exposure_start_us) / 1000
     log = np.log(ms, out=np.zeros(np.shape(ms)), where=ms > 0)
@@ -31,20 +29,10 @@ def log_samples(
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return the log intensity of a frame, and which of its samples are usable.
 
-    Parameters
-    ----------
-    frame : ApsFrame
-        The frame; ``dn`` on the 10-bit scale.
-    exposure : ndarray of float32, shape (W,), optional
-        Natural log of the unit that the result is per; default `log_exposure`.
-
-    Returns
-    -------
-    log_intensity : ndarray of float32, shape (H, W)
-        ``ln(max(DN, 1)) - exposure``: DN per ms, or DN where no exposure is known.
-        A NaN counts as below the floor.
-    valid : ndarray of bool, shape (H, W)
-        The frame's ``valid``, and False below 1 DN.
+    The first, float32 (H, W), is ``ln(max(DN, 1)) - exposure``: per ms, or DN where no
+    exposure is known; `exposure` (W,) is by default `log_exposure`.  ``dn`` is on the
+    10-bit scale; a NaN counts as below the floor.  The second, bool (H, W), is the
+    frame's ``valid``, and False below 1 DN.
     """
     if exposure is None:
         exposure = log_exposure(frame)

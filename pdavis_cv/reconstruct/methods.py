@@ -72,14 +72,8 @@ def default_method(info: RecordingInfo) -> str:
 def factory_of(method: str | Factory) -> Factory:
     """Return the factory of a method's Reconstructor.
 
-    Raises
-    ------
-    ValueError
-        If there is no method of this name.
-    ImportError
-        If it is another package's and cannot be used.
-    TypeError
-        If it is neither a name nor callable.
+    ValueError if there is no method of this name; ImportError if it is another
+    package's and cannot be used; TypeError if it is neither a name nor callable.
     """
     if isinstance(method, str):
         return METHODS[method]

@@ -88,21 +88,11 @@ class _Graph:
 
 
 def network_onnx(weights: Weights, height: int, width: int) -> bytes:
-    """Return the ONNX model of one step of a network for planes of one size.
+    """Return the ONNX model (IR 8, operator set 13) of one step of a network.
 
     Inputs ``x`` (planes of events), ``h1`` and ``h2`` (hidden states), outputs ``y``,
-    ``g1`` and ``g2``; shapes are fixed, as OpenCV 4 requires.
-
-    Parameters
-    ----------
-    weights : Weights
-    height, width : int
-        Shape of the planes, in macropixels.
-
-    Returns
-    -------
-    bytes
-        An ONNX model of IR version 8, operator set 13.
+    ``g1`` and ``g2``; shapes are fixed, as OpenCV 4 requires.  Height and width of the
+    planes are in macropixels.
     """
     graph, arrays = _Graph(), weights.arrays
     for name, limit in _LIMITS.items():

@@ -420,22 +420,9 @@ def null_of(
 ) -> NDArray[np.float32]:
     """Return weights with which a macropixel's intensities sum to 0 for any light.
 
-    Parameters
-    ----------
-    response : ndarray of float64, shape (2, 2, 3) or (H, W, 3), or None
-        See `EventRedundancy`.
-    shape : (int, int)
-        (height, width).
-
-    Returns
-    -------
-    ndarray of float32, shape (H, W)
-        The largest weight of each macropixel is 1; 0 outside whole macropixels.
-
-    Raises
-    ------
-    ValueError
-        If the response has another shape, or does not tell the channels apart.
+    Of the response in `EventRedundancy`.  The weights are float32 (H, W): the largest
+    of each macropixel is 1; 0 outside whole macropixels.  A response that does not tell
+    the channels apart is a ValueError.
     """
     rows, columns = shape[0] // 2, shape[1] // 2
     null = np.zeros(shape, np.float32)

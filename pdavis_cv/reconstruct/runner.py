@@ -23,20 +23,7 @@ Runner = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
 
 
 def chosen_backend(backend: str = "auto") -> str:
-    """Return the library to use.
-
-    Parameters
-    ----------
-    backend : {"auto", "onnxruntime", "cv2"}
-        "auto" takes the first of ``BACKENDS`` that is installed.
-
-    Raises
-    ------
-    ImportError
-        If it, or with "auto" each of them, is missing.
-    ValueError
-        If there is no such backend.
-    """
+    """Return the library to use; "auto" takes the first of ``BACKENDS`` installed."""
     if backend not in ("auto", *BACKENDS):
         raise ValueError(
             f"backend must be one of auto, {', '.join(BACKENDS)}, got {backend!r}")
@@ -60,19 +47,8 @@ def make_runner(weights: Weights, height: int, width: int, backend: str) -> Runn
     """Return a function that runs one step of a network.
 
     It maps input planes and both hidden states, (x, h1, h2), to output planes and the
-    new states, (y, g1, g2), of the shapes that `model_shapes` gives.
-
-    Parameters
-    ----------
-    weights : Weights
-    height, width : int
-        Shape of the planes, in macropixels.
-    backend : {"onnxruntime", "cv2"}
-
-    Returns
-    -------
-    callable
-        Takes and returns float32 arrays; those returned are new.
+    new states, (y, g1, g2), of the shapes that `model_shapes` gives: float32 arrays, of
+    which those returned are new.  Height and width are in macropixels.
     """
     model = network_onnx(weights, height, width)
     if backend == "onnxruntime":

@@ -35,13 +35,7 @@ class StreamClock:
         self.last_us = NEVER
 
     def took(self, events: Events, taken: int) -> None:
-        """Record that a kernel processed so many events; raise ValueError if not all.
-
-        Raises
-        ------
-        ValueError
-            Names the first event that was not processed, and the reason.
-        """
+        """Record how many events a kernel processed; a ValueError names the next."""
         before = self.last_us
         if taken:
             self.last_us = int(events["t"][taken - 1])
@@ -51,10 +45,7 @@ class StreamClock:
     def check_events(self, events: Any) -> Events:
         """Check events that the method ignores, and return them.
 
-        Raises
-        ------
-        ValueError
-            If one lies outside the sensor or is late; the message names it.
+        A ValueError names one that lies outside the sensor or is late.
         """
         checked = timed_events(events)
         height, width = self.shape
@@ -64,17 +55,8 @@ class StreamClock:
     def check_frame(self, frame: ApsFrame, after_us: int | None = None) -> int:
         """Return the time of a frame, its mid-exposure, and record it.
 
-        Parameters
-        ----------
-        frame : ApsFrame
-        after_us : int, optional
-            Time of the last frame, if frames may be late; default: a frame must not lie
-            before the last event or frame.
-
-        Raises
-        ------
-        ValueError
-            If it has another shape or lies before `after_us`.
+        It must not lie before `after_us`, the last frame's if frames may be late, by
+        default the time of the last event or frame.
         """
         if not isinstance(frame, ApsFrame):
             raise TypeError(f"frame must be an ApsFrame, got {type(frame).__name__}")
@@ -93,13 +75,7 @@ class StreamClock:
         return mid
 
     def check_read(self, t_us: int) -> int:
-        """Return the time to read at.
-
-        Raises
-        ------
-        ValueError
-            If it lies before the last time seen, or too far from 0.
-        """
+        """Return the time to read at, which must not lie before the last one seen."""
         t = checked_time("t_us", t_us)
         if t < self.last_us:
             raise ValueError(

@@ -159,13 +159,7 @@ class TurningRegression:
     # ---- feeding -------------------------------------------------------------
 
     def add_events(self, events: Events) -> None:
-        """Add rows to the pixels' sums.
-
-        Parameters
-        ----------
-        events : ndarray of EVENT_DTYPE
-            In time order, not before those added earlier.
-        """
+        """Add rows to the pixels' sums, of events not before those added earlier."""
         events = timed_events(events)
         if self._start is None and len(events):
             self._start = int(events["t"][0])
@@ -243,10 +237,7 @@ class TurningRegression:
     def polarization(self, t_us: int) -> Polarization:
         """Return the polarization at t_us; the state stays as it is.
 
-        Parameters
-        ----------
-        t_us : int
-            Not before the last time fed, less `lookahead_us`.
+        The time is not before the last one fed, less `lookahead_us`.
         """
         t = checked_time("t_us", t_us) + self.lookahead_us
         if t < self._clock.last_us:
@@ -313,23 +304,11 @@ def _learned(
 ) -> tuple[Plane, NDArray[np.uint8]]:
     """Estimate thresholds from pixels' lasting sums, and add the change to these.
 
-    Parameters
-    ----------
-    cells : ndarray, shape (N,)
-        Pixels with enough rows.
-    log_theta : ndarray of float32, shape (2, N)
-        ln of their thresholds, ON and OFF.
-    mean : ndarray of float64, shape (2,)
-        ln of the mean thresholds.
-    spread : float
-        Error of ln threshold of a single pixel around the mean.
-
-    Returns
-    -------
-    log_theta : ndarray of float32, shape (2, N)
-    told : ndarray of uint8, shape (N,)
-        1 where the light did not change but for the modulation, 2 where that is also
-        strong enough to tell the thresholds' mean, else 0.
+    The pixels `cells`, (N,), have enough rows; `log_theta`, float32 (2, N), are ln of
+    their thresholds, ON and OFF, `mean` those of the mean thresholds, and `spread` the
+    error of a single pixel around it.  Returns ln of the new ones and uint8 (N,): 1
+    where the light did not change but for the modulation, 2 where that is also strong
+    enough to tell the thresholds' mean, else 0.
     """
     n, y, g, h = (np.stack([cells[name + "1"], cells[name + "0"]]) for name in "nygh")
     m1, m2, zz, l11, l12, l22 = (

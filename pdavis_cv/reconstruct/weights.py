@@ -33,12 +33,7 @@ _MOST_BYTES = 1 << 24
 
 
 def expected_shapes(network: str) -> dict[str, tuple[int, ...]]:
-    """Return the shape of each array of a network's weights.
-
-    Parameters
-    ----------
-    network : {"firenet", "joint"}
-    """
+    """Return the shape of each array of the weights of "firenet" or "joint"."""
     inputs, outputs, direct = _ENDS[network]
     convolutions = {
         "head": (WIDTH, inputs, 3), "pred": (outputs, WIDTH + direct, 1),

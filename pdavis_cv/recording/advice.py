@@ -72,13 +72,7 @@ class Advice:
 
 
 def advise(recording: Recording) -> list[Advice]:
-    """Read a recording once and return findings that affect its results.
-
-    Returns
-    -------
-    list of Advice
-        Empty if nothing was found.
-    """
+    """Read a recording once and return findings that affect its results, if any."""
     facts = _Facts(recording.info.sensor_size)
     for packet in recording.packets():
         facts.add_events(packet.events)

@@ -220,17 +220,7 @@ class ApsFrame(Advises):
 
 
 def joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Return one or more arrays of the same dtype as one array.
-
-    Parameters
-    ----------
-    parts : sequence of ndarray, each of shape (N,)
-
-    Returns
-    -------
-    ndarray, shape (M,)
-        A copy.
-    """
+    """Return one or more arrays of the same dtype as one array, a copy."""
     out = np.empty(sum(map(len, parts)), parts[0].dtype)
     # Copy bytes, as NumPy copies packed structures field by field.
     data, at = out.view(np.uint8), 0

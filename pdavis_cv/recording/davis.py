@@ -77,12 +77,7 @@ class Orientation:
     imu_type: str | None = "InvenSense6050Or6150"
 
     def upright(self, reads: NDArray[np.uint16]) -> NDArray[np.uint16]:
-        """Return images (K, H, W) of what was read out, column after column.
-
-        Parameters
-        ----------
-        reads : ndarray of uint16, shape (K, columns, rows)
-        """
+        """Return images (K, H, W) of what was read out, uint16 (K, columns, rows)."""
         images = reads if self.frames_turned else reads.swapaxes(1, 2)
         return images[:, ::-1 if self.frames_flipped_y else 1,
                       ::-1 if self.frames_flipped_x else 1].copy()
@@ -127,19 +122,9 @@ class DavisDecoder:
     ) -> Iterator[Packet]:
         """Decode the next words and yield packets in time order.
 
-        Parameters
-        ----------
-        data : bytes
-            The next data of the camera.
-        host_s : float, optional
-            Time of arrival of their end, s, on any clock.
-        lost : bool
-            Whether data before them were lost.
-
-        Yields
-        ------
-        Packet
-            With at most one frame; may span more than 10 ms at low event rates.
+        `host_s` is the time of arrival of their end, s, on any clock; `lost` tells that
+        data before them were lost.  A packet has at most one frame, and may span more
+        than 10 ms at low event rates.
         """
         if lost:
             self._forget()

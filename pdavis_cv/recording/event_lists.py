@@ -92,13 +92,7 @@ class TextRecording(_EventList):
             form.size)
 
     def _text(self) -> FileReader:
-        """Return the text, unpacked if it is in an archive.
-
-        Raises
-        ------
-        RecordingError
-            If the archive does not hold one text.
-        """
+        """Return the text, unpacked if it is in an archive of one."""
         reader = self._bytes()
         if reader.read(0, 4) != b"PK\x03\x04":
             return reader
@@ -240,13 +234,7 @@ class NumpyRecording(_EventList):
 
 
 def _events_of(found: Mapping[str, Any], path: str) -> tuple[Any, ...]:
-    """Return the columns t, x, y, p of a file, which have the same length.
-
-    Raises
-    ------
-    RecordingError
-        If there are no such columns.
-    """
+    """Return the columns t, x, y, p of a file, which have the same length."""
     def named(columns: Mapping[str, Any]) -> tuple[Any, ...] | None:
         by_name = {NAMES[name.lower()]: column for name, column in columns.items()
                    if name.lower() in NAMES}

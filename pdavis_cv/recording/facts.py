@@ -48,10 +48,7 @@ def text_of(
 ) -> str:
     """Return what is known of a recording as text for the header of a copy.
 
-    Parameters
-    ----------
-    facts, demosaic, biases
-        See `RecordingInfo`.
+    See `RecordingInfo` for the facts.
     """
     values = {name: fact.value for name, fact in facts.items() if fact.value}
     values.pop("extinction_ratio", None)    # that of the sensor
@@ -102,10 +99,10 @@ def _of_copy(text: str, found: Mapping[str, Fact]) -> dict[str, Fact]:
 
 def stated(options: SourceOptions, copied: str | None = None, **found: Any
            ) -> dict[str, Any]:
-    """Return the facts of a recording as arguments of `RecordingInfo`.
+    """Return the facts of a recording, with origins, as arguments of `RecordingInfo`.
 
-    What the caller states replaces what the file says, what was measured or assumed.
-    Layouts that differ, and sizes of which both are stated, are refused.
+    What the caller states replaces what the file says, what was measured or assumed;
+    layouts that differ, and sizes of which both are stated, are refused.
 
     Parameters
     ----------
@@ -117,16 +114,6 @@ def stated(options: SourceOptions, copied: str | None = None, **found: Any
         Facts by their name in `RecordingInfo`: a value that the file gives, or a
         `Fact` with another origin; None = not known.  ``frame_times`` is the frames'
         rate in Hz if they have no times of their own, else their kind.
-
-    Returns
-    -------
-    dict of str to object
-        With ``origins``.
-
-    Raises
-    ------
-    LayoutError, ValueError
-        If caller and file disagree.
     """
     known = {name: value if isinstance(value, Fact) else Fact(value, FILE)
              for name, value in found.items() if value is not None}
@@ -176,15 +163,7 @@ def _polarizers(
 
 
 def sensor_of(named: Sensor | None, found: Sensor | None) -> Sensor | None:
-    """Return the sensor that a layout names, unless the file names another chip.
-
-    Parameters
-    ----------
-    named : Sensor or None
-        Owner of a layout.
-    found : Sensor or None
-        Sensor or chip that the file gives.
-    """
+    """Return the sensor that a layout names, unless the file gives another one."""
     if named is None or (found is not None and found.name not in (
             named.name, named.chip)):
         return found

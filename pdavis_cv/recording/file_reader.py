@@ -46,15 +46,7 @@ class FileReader:
         self.size = os.fstat(self._descriptor).st_size
 
     def read(self, offset: int, size: int) -> bytes:
-        """Return size bytes from offset on; fewer only at the end of the file.
-
-        Raises
-        ------
-        ValueError
-            If the recording was closed.
-        RecordingError
-            If the file cannot be read.
-        """
+        """Return size bytes from offset on; fewer only at the end of the file."""
         if not self._close.alive:
             raise ValueError(f"{self.path.name}: recording is closed")
         if offset < 0 or size <= 0:

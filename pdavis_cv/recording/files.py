@@ -134,13 +134,7 @@ class FileRecording(Recording):
 
     @abstractmethod
     def _open(self, options: SourceOptions) -> RecordingInfo:
-        """Open the file and return its facts, with those of `stated`.
-
-        Raises
-        ------
-        RecordingError
-            If it cannot be opened or has another format.
-        """
+        """Open the file and return its facts, with those of `stated`."""
 
     def _check_camera(self, camera: str | None, name: str | None) -> None:
         """Raise RecordingError if the caller's camera is no part of the file's name."""
@@ -154,18 +148,8 @@ class FileRecording(Recording):
     ) -> Fact:
         """Return (height, width) as the file or the caller states it, or assumed.
 
-        Parameters
-        ----------
-        of_file : Fact or (int, int), optional
-            As the file states it.
-        farthest : callable, optional
-            Returns the largest x and y of the first events: the smallest usual sensor
-            that holds them is assumed.
-
-        Raises
-        ------
-        RecordingError
-            If it is not known, or no sensor has this size.
+        `farthest` returns the largest x and y of the first events: the smallest usual
+        sensor that holds them is assumed.
         """
         if of_file is None and self._options.size is not None:
             of_file = Fact(self._options.size, CALLER)
@@ -196,16 +180,8 @@ class FileRecording(Recording):
     def _count(self, at: int, kind: str, count: int, message: str) -> None:
         """Add the number of samples that were left out; if strict, raise instead.
 
-        Parameters
-        ----------
-        at : int
-            Position in the file, in `_unit`; each position is counted once.
-        kind : str
-            Kind of the `Problem`.
-        count : int
-            Number of samples; nothing is done for 0.
-        message : str
-            Text that follows the number.
+        Each position `at` in the file, in `_unit`, is counted once, as a `Problem` of
+        this kind; the message follows the number.  Nothing is done for 0.
         """
         if not count:
             return
@@ -220,20 +196,9 @@ class FileRecording(Recording):
                  memory: Scratch) -> NDArray[Any]:
         """Return the events that lie on the sensor and in time order; count the others.
 
-        Parameters
-        ----------
-        columns : four of ndarray, shape (N,)
-            t in us, int64; x, y; p, where negative is OFF; all integers.
-        clock : Clock
-            Clock of the events before these.
-        at : int
-            As in `_count`.
-        memory : Scratch
-            Provides memory for the result.
-
-        Returns
-        -------
-        ndarray of EVENT_DTYPE, shape (M,)
+        The columns are t in us, int64; x; y; p, where negative is OFF; all integers,
+        (N,).  The clock is that of the events before these; `memory` provides that of
+        the result.  For `at` see `_count`.
         """
         t = np.require(columns[0], None, ("C", "A"))
         x, y, p = map(_narrow, columns[1:])
@@ -245,12 +210,8 @@ class FileRecording(Recording):
                clock: Clock, at: int, memory: Scratch) -> NDArray[Any]:
         """Return the events that a kernel decodes and the clock accepts for good.
 
-        Parameters
-        ----------
-        kernel : callable, optional
-            Appends up to count events to memory; default: none follow.
-        count, clock, at, memory
-            As in `_checked`.
+        The kernel appends up to count events to memory; without one, none follow.  The
+        other arguments are those of `_checked`.
         """
         jumps = clock.jumps
         out = clock.room(memory, count)
@@ -304,13 +265,9 @@ def _narrow(column: NDArray[Any]) -> NDArray[np.int32]:
 
 
 def microseconds(t: NDArray[Any], unit: float) -> NDArray[np.int64]:
-    """Return times in us; those that no clock has are dropped when they are checked.
+    """Return times of a unit in us.
 
-    Parameters
-    ----------
-    t : ndarray
-    unit : float
-        Their unit, us.
+    Those that no clock has are dropped when they are checked.
     """
     if t.dtype.kind != "f":
         return (t if unit >= 1 else t // round(1 / unit)).astype(np.int64)

@@ -75,15 +75,7 @@ class Budget:
         return int(path.stat().st_size)
 
     def over(self, limit: str, what: str) -> RecordingError:
-        """Return the error that a limit is passed.
-
-        Parameters
-        ----------
-        limit : str
-            Name of a field of `Limits`.
-        what : str
-            What passes it.
-        """
+        """Return the error that something passes a limit, a field of `Limits`."""
         most = getattr(self.limits, limit)
         return RecordingError(
             f"{self._path}: {what}: more than the limit {limit}={most:g} allows; "
@@ -95,16 +87,9 @@ class Budget:
         return int(min(self._half, self.limits.ratio * packed + _SLACK))
 
     def piece(self, size: int, what: str, packed: int | None = None) -> None:
-        """Raise RecordingError if a piece is too large.
+        """Raise RecordingError if a piece takes too many bytes.
 
-        Parameters
-        ----------
-        size : int
-            Bytes that it takes.
-        what : str
-            What it is.
-        packed : int, optional
-            Bytes that it takes in the file.
+        `packed` are the bytes that it takes in the file, if it is unpacked.
         """
         if size > self._half:
             raise self.over("memory", f"{what} of {size} bytes, which are copied")

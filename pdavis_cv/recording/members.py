@@ -50,13 +50,7 @@ class Member:
 def members_of(
     source: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 ) -> tuple[Member, ...]:
-    """Return the files that a path, a pattern, a folder or several paths denote.
-
-    Raises
-    ------
-    RecordingError
-        If there is none.
-    """
+    """Return the files that a path, a pattern, a folder or several paths denote."""
     if not isinstance(source, str | os.PathLike):
         return tuple(member for one in source for member in members_of(one))
     path = as_path(source)

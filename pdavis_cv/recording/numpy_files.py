@@ -68,13 +68,8 @@ class StoredArray:
              ) -> NDArray[Any]:
         """Return rows start <= i < stop of a one- or two-dimensional array.
 
-        There are fewer if the file ends before.
-
-        Parameters
-        ----------
-        start, stop : int
-        read : dict, optional
-            Cache of these rows' bytes, shared by the columns; it is updated.
+        There are fewer if the file ends before.  `read` keeps these rows' bytes for the
+        other columns; it is updated.
         """
         stop, wide = min(stop, len(self)), math.prod(self.shape[1:])
         if self.fortran and isinstance(self.column, int):
@@ -99,19 +94,8 @@ def stored_arrays(reader: FileReader, kept: Callable[[FileReader], object],
                   budget: Budget) -> dict[str, StoredArray]:
     """Return the arrays of a file by name in lower case; "" for that of ``.npy``.
 
-    Parameters
-    ----------
-    reader : FileReader
-    kept : callable
-        Called with each reader that has to be closed with the recording.
-    budget : Budget
-
-    Raises
-    ------
-    RecordingError
-        If they are larger than the budget allows.
-    Exception
-        Any exception that NumPy or zipfile raises for a damaged file.
+    `kept` is called with each reader that has to be closed with the recording.  A
+    damaged file may raise any exception of NumPy or zipfile.
     """
     if reader.read(0, 2) != b"PK":
         with Path(reader.path).open("rb") as file:

@@ -68,25 +68,8 @@ def packetise(
 
     A packet ends at a multiple of 10 ms, just after a frame, or after 65,536 events,
     whichever comes first.  Batches must hold every sample from ``cell_start(start_us)``
-    on, so that boundaries do not depend on the interval.
-
-    Parameters
-    ----------
-    batches : iterable of Batch
-    start_us, stop_us : int, optional
-        Half-open interval.
-    budget : Budget, optional
-        Of the file; without, nothing is bounded.
-
-    Yields
-    ------
-    Packet
-        Its arrays are copies.
-
-    Raises
-    ------
-    RecordingError
-        If a limit of the budget is passed.
+    on, so that boundaries do not depend on the interval.  The arrays of packets are
+    copies.  Without a budget, nothing is bounded.
     """
     events, imu, triggers = (
         _Queue(dtype) for dtype in (EVENT_DTYPE, IMU_DTYPE, TRIGGER_DTYPE))

@@ -52,19 +52,8 @@ def ordered_triggers(t: NDArray[np.int64], rising: NDArray[Any], after_us: int
                      ) -> tuple[NDArray[Any], int]:
     """Return external triggers in time order, and how many were left out.
 
-    Parameters
-    ----------
-    t : ndarray of int64, shape (N,)
-        Times in us.
-    rising : ndarray, shape (N,)
-        Not 0 for a rising edge.
-    after_us : int
-        Triggers before this time are left out, as are those before an earlier one.
-
-    Returns
-    -------
-    triggers : ndarray of TRIGGER_DTYPE, shape (M,)
-    left_out : int
+    Of times in us, and whether they are rising edges, (N,), those before `after_us` or
+    before an earlier one are left out.
     """
     keep = t >= np.maximum(np.maximum.accumulate(t), after_us)
     out = np.empty(int(keep.sum()), TRIGGER_DTYPE)
@@ -111,14 +100,10 @@ class WordStream:
 
     def decode(self, words: NDArray[np.unsignedinteger], state: NDArray[np.int64],
                out: NDArray[Any]) -> None:
-        """Append the events of words that lie on the sensor.
+        """Append the events of words that lie on the sensor to `out`.
 
-        Parameters
-        ----------
-        words : ndarray of uint32 (EVT2, EVT2.1: two each) or uint16 (EVT3), shape (N,)
-        state : ndarray of int64, shape (7,)
-            Of the events' clock.
-        out : ndarray of EVENT_DTYPE
+        Words are uint32 (EVT2, EVT2.1: two each) or uint16 (EVT3); the state, int64
+        (7,), is that of the events' clock.
         """
         if self.version == EVT21:
             words = _single_events(words.reshape(-1, 2), self._high_first)
@@ -218,13 +203,7 @@ class PropheseeRecording(SequentialRecording):
         return facts
 
     def _kind(self, facts: dict[str, str]) -> int:
-        """Return the version of the events; for DAT, skip the two bytes before them.
-
-        Raises
-        ------
-        RecordingError
-            If the events have another format.
-        """
+        """Return the version of the events; for DAT, skip the two bytes before them."""
         stated = facts.get("format", "").partition(";")[0] or facts.get("evt", "")
         if "Data" in facts or ("Version" in facts and not stated):
             kind, size = self._reader.read(self._begin, 2).ljust(2, b"\0")

@@ -120,14 +120,7 @@ def suffixes() -> tuple[str, ...]:
 
 
 def format_of(path: Path, start: bytes) -> Format | None:
-    """Return the format of a file from its first bytes, None if it is unknown.
-
-    Parameters
-    ----------
-    path : Path
-    start : bytes
-        First bytes of the file, empty for a folder.
-    """
+    """Return the format of a file by its first bytes (b"" for a folder), or None."""
     def first(table: Iterable[Format]) -> Format | None:
         return next((one for one in table
                      if one.knows(path, start)), None)
@@ -152,13 +145,7 @@ def is_recording(path: str | os.PathLike[str]) -> bool:
 
 
 def first_bytes(path: Path) -> bytes:
-    """Return the first bytes of a file, b"" for a folder.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be opened.
-    """
+    """Return the first bytes of a file, b"" for a folder."""
     if path.is_dir():
         return b""
     try:
@@ -176,19 +163,7 @@ def first_bytes(path: Path) -> bytes:
 
 
 def read_with(one: Format, source: Any, options: SourceOptions) -> Recording:
-    """Open a file with a format's reader.
-
-    Parameters
-    ----------
-    one : Format
-    source : path, or sequence of paths
-    options : SourceOptions
-
-    Raises
-    ------
-    TypeError
-        If the format has no such option.
-    """
+    """Open a file with a format's reader; TypeError for an option that it lacks."""
     given = {name for name in options.facts()
              if getattr(options, name) not in (None, False)}
     for name in sorted(given.union(options.parameters) - _ALWAYS - set(
@@ -206,17 +181,7 @@ def writer_for(
 ) -> tuple[Format, Callable[..., Mapping[str, int]]]:
     """Return the format to write a file in, and the function that writes it.
 
-    Parameters
-    ----------
-    path : path
-        Its suffix determines the format.
-    name : str, optional
-        Name of the format; overrides the suffix.
-
-    Raises
-    ------
-    ValueError
-        If there is no such format, or it cannot be written.
+    A name of the format overrides the suffix.
     """
     suffix = Path(path).suffix.lower()
     found = FORMATS[name] if name is not None else next(

@@ -244,10 +244,7 @@ class RosRecording(PiecewiseRecording):
     def _is_ros2(self) -> bool:
         """Return whether it is a bag of ROS 2.
 
-        Raises
-        ------
-        RecordingError
-            If its name does not end as rosbags needs it.
+        If its name does not end as rosbags needs it, that is an error.
         """
         if self._path.is_dir():
             return True
@@ -261,13 +258,7 @@ class RosRecording(PiecewiseRecording):
         return suffix is not None
 
     def _found_encodings(self, bag: Any, camera: str | None) -> dict[str, str]:
-        """Return the encodings of topics of packets, from the first of each.
-
-        Raises
-        ------
-        RecordingError
-            If one cannot be read.
-        """
+        """Return the encodings of topics of packets, from the first of each."""
         found: dict[str, str] = {}
         for one in bag.connections:
             if one.msgtype not in EVENT_PACKETS or (

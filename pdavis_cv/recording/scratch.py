@@ -83,10 +83,7 @@ class Gathering(Scratch):
     def keep(self, events: NDArray[Any]) -> bool:
         """Keep the next events inside the interval; return whether its end is reached.
 
-        Parameters
-        ----------
-        events : ndarray of EVENT_DTYPE, shape (N,)
-            In memory from `room`, or elsewhere.
+        They lie in memory from `room`, or elsewhere.
         """
         lo = 0 if self._start is None else bisect_left(events["t"], self._start)
         hi = (len(events) if self._stop is None

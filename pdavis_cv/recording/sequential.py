@@ -25,14 +25,8 @@ class PiecewiseRecording(FileRecording):
                 ) -> Iterator[tuple[Batch, float]]:
         """Yield the samples of each piece, and the share of the file read by then.
 
-        Parameters
-        ----------
-        start_us : int or None
-            Samples from ``cell_start(start_us)`` on are needed; None: all.
-        memory : Scratch
-            Provides memory for the events.
-        frames : bool
-            False: only events are needed.
+        Samples from ``cell_start(start_us)`` on are needed, None: all; without
+        `frames`, only events.  `memory` provides that of the events.
         """
 
     def packets(
@@ -85,38 +79,17 @@ class SequentialRecording(PiecewiseRecording):
     @abstractmethod
     def _next(self, at: int, clock: Clock, state: Any, memory: Scratch
               ) -> tuple[NDArray[Any], int]:
-        """Return the events of the chunk at a position, and the next position.
+        """Return the events of the chunk at a byte or row, and the next position.
 
-        Parameters
-        ----------
-        at : int
-            Position: a byte or a row.
-        clock : Clock
-            Clock of the events before; it is updated.
-        state : object
-            State from `_first`; it is updated.
-        memory : Scratch
-            Provides memory for the events.
-
-        Returns
-        -------
-        events : ndarray of EVENT_DTYPE, shape (N,)
-        after : int
-            Next position; equal to `at` at the end of the file.
+        That is equal to `at` at the end of the file.  The clock of the events before,
+        and the state from `_first`, are updated; `memory` provides that of the events.
         """
 
     def _triggers(self, at: int, clock: Clock, state: Any, after_us: int
                   ) -> NDArray[Any] | None:
-        """Return the triggers of the chunk that was decoded last, if it has any.
+        """Return the triggers of the chunk decoded last, which lay at `at`, if any.
 
-        Parameters
-        ----------
-        at : int
-            Position of the chunk.
-        clock, state
-            Those after it.
-        after_us : int
-            No trigger may be earlier.
+        Clock and state are those after it; no trigger may be earlier than `after_us`.
         """
         return None
 

@@ -33,15 +33,10 @@ class StreamSource(Source):
         return ()
 
     def packets(self) -> Iterator[Packet]:
-        """Iterate over all packets, once.
+        """Iterate over all packets, once; another call is a RecordingError.
 
-        Raises
-        ------
-        RecordingError
-            If it has been called before.
-        ValueError
-            If the source is closed, or a packet breaks the rules that
-            `source_from_packets` states; the message names it.
+        A ValueError names a packet that breaks the rules that `source_from_packets`
+        states.
         """
         with self._lock:
             if self._closed:

@@ -89,12 +89,9 @@ def is_text_events(start: bytes) -> bool:
 
 
 def text_form(start: bytes) -> TextForm | None:
-    """Return the form of a text from its first lines, None if it is no list of numbers.
+    """Return the form of a text from its first lines, of which the last may be cut.
 
-    Parameters
-    ----------
-    start : bytes
-        First lines; the last may be cut.
+    None if it is no list of numbers.
     """
     form = TextForm(begin=3 if start.startswith(b"\xef\xbb\xbf") else 0)  # byte order
     named = False
@@ -180,22 +177,8 @@ def checked_order(path: object, form: TextForm, columns: str | None,
                   blocks: Sequence[bytes]) -> str:
     """Return the order of the columns: of the caller, the names, or t, x, y, p.
 
-    Parameters
-    ----------
-    path : object
-        For messages.
-    form : TextForm
-    columns : str, optional
-        As the caller states it.
-    blocks : sequence of bytes
-        Parts of the text.
-
-    Raises
-    ------
-    ValueError
-        If `columns` is malformed.
-    RecordingError
-        If the order is not known, or the numbers contradict it.
+    The blocks are parts of the text: if the order is not known, or the numbers
+    contradict it, that is a RecordingError.
     """
     if columns is not None:
         if sorted(columns.replace("_", "")) != sorted("txyp"):

@@ -63,15 +63,7 @@ class Timeline:
         self._near = WRAP_US // 2 if bits == 32 else SEGMENT_US
 
     def move(self, jump: int, back_us: int) -> int:
-        """Return the shift of the times after a jump of one stream.
-
-        Parameters
-        ----------
-        jump : int
-            Number of jumps of this stream before.
-        back_us : int
-            Size of the jump backward.
-        """
+        """Return the shift of the times after a stream's next jump, by `back_us`."""
         if self._alone:
             raise SegmentError
         if jump == len(self._moves):
@@ -273,14 +265,9 @@ class Marks:
     def note(self, place: int, newest_us: int, state: Any) -> None:
         """Add a mark, unless there is one near it.
 
-        Parameters
-        ----------
-        place : int
-            Position, which increases while reading, in each pass the same way.
-        newest_us : int
-            Latest time of all samples before it.
-        state : object
-            State from which reading can resume; a copy is stored.
+        The place increases while reading, in each pass the same way; `newest_us` is the
+        latest time of all samples before it.  A copy is kept of the state, from which
+        reading can resume.
         """
         with self._lock:
             if place < (self._places[-1] if self._places else 0) + self._spacing:
@@ -305,20 +292,13 @@ def possible_range(
 ) -> tuple[int, int]:
     """Return the first and last time that samples of a packet may have.
 
-    They are found from the packets around it, of which some may be damaged too.  A
-    packet is doubted if its own times run backward or span more than a segment's
-    limit, or if its median does not fit those around it.  Among the packets that are
-    left, the border between this one and the next is where the fewest times lie on the
-    wrong side.  (NEVER, -NEVER) is returned if a new segment may begin.
-
-    Parameters
-    ----------
-    times : ndarray of int64, shape (N,)
-        At least one.
-    following : sequence of ndarray of int64
-        Times of the next `LOOK_AHEAD` packets of the stream that have any.
-    before : int, optional
-        Time of the last sample before; default: there is none.
+    They are found from the packets around it, of which some may be damaged too:
+    `following` are the times of the next `LOOK_AHEAD` packets of the stream that have
+    any, `before` that of the last sample.  A packet is doubted if its own times run
+    backward or span more than a segment's limit, or if its median does not fit those
+    around it.  Among the packets that are left, the border between this one and the
+    next is where the fewest times lie on the wrong side.  (NEVER, -NEVER) is returned
+    if a new segment may begin.
     """
     ends = [before, *(int(t) for one in (times, *following[:2]) for t in one[[0, -1]])]
     if all(a <= b for a, b in itertools.pairwise(ends)):

@@ -44,19 +44,10 @@ _VIRIDIS = np.array([
 def table_of(
     colours: NDArray[np.uint8], none: Mark = INVALID, invalid: Mark = INVALID,
 ) -> NDArray[np.uint8]:
-    """Return a table of colours for the kernels.
+    """Return a table of colours, BGR, for the kernels, uint8 (N + 4, 4).
 
-    Parameters
-    ----------
-    colours : ndarray of uint8, shape (N, 3)
-        BGR.
-    none, invalid : (int, int, int), or two of them
-        Colours of NaN and of pixels that are not valid; of two colours, stripes.
-
-    Returns
-    -------
-    ndarray of uint8, shape (N + 4, 4)
-        The last byte of each colour is unused.
+    `none` and `invalid` are those of NaN and of pixels that are not valid; of two
+    colours, stripes.  The last byte of each colour is unused.
     """
     table = np.zeros((len(colours) + 4, 4), np.uint8)
     table[:-4, :3], table[-4::2, :3], table[-3::2, :3] = colours, none, invalid
@@ -239,35 +230,13 @@ def through_table(
     kernel: Callable[..., None], value: ArrayLike, valid: NDArray[np.bool_] | None,
     scale: float, table: NDArray[np.uint8], least: float | None = None,
 ) -> Picture:
-    """Colour values with a table, in a kernel ten times as fast as NumPy.
+    """Colour values, (H, W), with a table, in a kernel ten times as fast as NumPy.
 
-    Parameters
-    ----------
-    kernel : callable
-        ``hue_bgr``, ``ramp_bgr`` or ``tone_bgr``.
-    value : array_like of float, shape (H, W)
-        Other types than float32 are converted to float64.
-    valid : ndarray of bool, shape (H, W), or None
-        True = usable.
-    scale : float
-        Factor by which the kernel multiplies values.
-    table : ndarray of uint8, shape (N + 4, 4)
-        See `table_of`.
-    least : float, optional
-        Pixels that are not valid have the colour `invalid` of `table_of` from here on,
-        and `none` below; default: `invalid`.
-
-    Returns
-    -------
-    ndarray of uint8, shape (H, W, 3)
-        BGR.
-
-    Raises
-    ------
-    TypeError
-        If `valid` is not bool, or uint8 as a mask of cv2.
-    ValueError
-        If `valid` has another shape.
+    The kernel is ``hue_bgr``, ``ramp_bgr`` or ``tone_bgr``, and multiplies values by
+    `scale`; other types than float32 are converted to float64.  `valid` is bool, or
+    uint8 as a mask of cv2.  Pixels that are not valid have the colour `invalid` of
+    `table_of` from the value `least` on, by default all, and `none` below.  Returns
+    uint8 (H, W, 3), BGR.
     """
     plane = np.asarray(value)
     if plane.dtype != np.float32:

@@ -220,20 +220,9 @@ class FrameClock:
               ) -> tuple[FloatArray, int]:
         """Find exposure starts and ends whose bursts reach into [start, stop).
 
-        Parameters
-        ----------
-        start_us, stop_us : float
-            Interval.
-        width_us : float
-            Duration of a burst of events, `DvsPixel.burst_us`.
-
-        Returns
-        -------
-        times : ndarray of float64
-            Those in (start - width, stop), us.
-        first : int
-            Index of the first one, 2 k for the start of frame k, 2 k + 1 for its end;
-            the random numbers of a burst depend on it.
+        A burst of events lasts `width_us`, `DvsPixel.burst_us`.  Returns the times in
+        (start - width, stop), us, and the index of the first, 2 k for the start of
+        frame k, 2 k + 1 for its end: the random numbers of a burst depend on it.
         """
         frames = self.frames(start_us - width_us, stop_us)
         times = [(2 * k + i, self.start_us(k) + i * self.pixel.exposure_us)
@@ -254,19 +243,10 @@ class FrameClock:
     ) -> FloatArray:
         """Quadrature weights of light at the nodes for a frame's exposure integral.
 
-        Parameters
-        ----------
-        frame : int
-            Number of the frame.
-        start_us, step_us, intervals : float, float, int
-            Nodes lie at start_us + k step_us, k = 0..intervals.
-
-        Returns
-        -------
-        ndarray of float64, shape (intervals + 5, 1) or (intervals + 5, W)
-            Per column where columns differ; DN = sum of weights times DN per ms.  Light
-            is a cubic Hermite spline with the slopes of `node_slopes`, for which two
-            more nodes at each end get weights.
+        Nodes lie at start_us + k step_us, k = 0..intervals.  Returns float64 (intervals
+        + 5, 1), or (intervals + 5, W) where columns differ; DN = sum of weights times
+        DN per ms.  Light is a cubic Hermite spline with the slopes of `node_slopes`,
+        for which two more nodes at each end get weights.
         """
         start, end = self.exposure(frame)
         return integral_weights(start, end, start_us, step_us, intervals)

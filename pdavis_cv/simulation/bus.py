@@ -64,12 +64,7 @@ class BusState:
     def pass_on(self, events: Events, until_us: float) -> Events:
         """Return the events that leave the bus before ``until_us``, in time order.
 
-        Parameters
-        ----------
-        events : ndarray of EVENT_DTYPE, shape (N,)
-            Requests of the pixels, time-ordered, before ``until_us``.
-        until_us : float
-            End of the chunk.
+        `events` are the pixels' requests before that time, in time order.
         """
         out = np.empty(len(events) + int(self._clock[2]), EVENT_DTYPE)
         us_per_event = 1e6 / self.bus.rate_hz

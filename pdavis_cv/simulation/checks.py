@@ -82,18 +82,7 @@ def whole(part: Any, low: int, high: int, *names: str) -> None:
 def affordable(what: str, size: float, /, **because: object) -> None:
     """Refuse arguments with which a simulation would need too much memory.
 
-    Parameters
-    ----------
-    what : str
-        Name of the data that need the memory.
-    size : float
-        Estimated bytes.
-    **because : object
-        Arguments that determine the size, for the message.
-
-    Raises
-    ------
-    ValueError
+    The data `what` take about `size` bytes because of these arguments.
     """
     if not size <= MOST_BYTES:
         raise ValueError(

@@ -25,16 +25,8 @@ def pixel_index(
 ) -> NDArray[np.uint64]:
     """Return an index per pixel that is the same for every region of one sensor.
 
-    Parameters
-    ----------
-    size : (int, int)
-        (height, width) of the region.
-    origin : (int, int)
-        (row, column) of its first pixel on the sensor.
-
-    Returns
-    -------
-    ndarray of uint64, shape (H, W)
+    The region has this size, and its first pixel, (row, column), is `origin`; uint64
+    (H, W).
     """
     rows = np.arange(size[0], dtype=np.uint64) + np.uint64(origin[0])
     columns = np.arange(size[1], dtype=np.uint64) + np.uint64(origin[1])

@@ -116,16 +116,9 @@ POPULATIONS: Mapping[str, Mapping[str, Mapping[str, Range]]] = MappingProxyType(
 
 
 def drawn(name: str, parts: Mapping[str, Any], seed: int) -> dict[str, Any]:
-    """Return a preset's parts with the parameters drawn for one specimen.
+    """Return a preset's parts with the parameters drawn for the specimen of a seed.
 
-    Parameters
-    ----------
-    name : str
-        Name of the preset; one without a population stays as it is.
-    parts : mapping of str to dataclass
-        The preset's parts.
-    seed : int
-        Seed of the specimen.
+    A preset without a population stays as it is.
     """
     out = dict(parts)
     for part, ranges in POPULATIONS.get(name, {}).items():

@@ -87,11 +87,8 @@ class Specimen:
     def exact_calibration(self) -> dict[str, Any]:
         """Return the specimen's true parameters, as arguments of `Calibration`.
 
-        Returns
-        -------
-        dict
-            ``sensor_size``, ``chip``, ``serial``, ``layout``, ``analyser`` (H, W, 3)
-            and, where the camera has them, ``theta_on``, ``theta_off``, ``dark``.
+        They are ``sensor_size``, ``chip``, ``serial``, ``layout``, ``analyser`` (H, W,
+        3) and, where the camera has them, ``theta_on``, ``theta_off``, ``dark``.
         """
         names = {"theta_on": "theta_on", "theta_off": "theta_off", "dark": "dark_dn",
                  "analyser": "analyser"}

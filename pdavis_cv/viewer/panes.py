@@ -56,16 +56,8 @@ _RAMP = _numbers(_PARTS, _PARTS)
 def levels_of(show: Show, image: PolarFrame) -> tuple[float, float]:
     """Return the values of S0 to show black and white, from `PERCENTILES` of an image.
 
-    Parameters
-    ----------
-    show : Show
-        Its white level stands in where no pixel is known.
-    image : PolarFrame
-
-    Returns
-    -------
-    (float, float)
-        In the unit of S0; the second is the larger.
+    The second is the larger; where no pixel is known, the white level of `show` stands
+    in.
     """
     known = image.s0[np.isfinite(image.s0) & (image.s0 > 0)]
     if not known.size:
@@ -113,27 +105,10 @@ def planes(
     names: Iterable[str], show: Show, image: PolarFrame,
     levels: tuple[float, float] | None = None,
 ) -> dict[str, NDArray[np.uint8]]:
-    """Return the planes that a page needs; AoP also needs DoLP, which fades it.
+    """Return the planes of quantities that a page needs, uint8 (H, W), by name.
 
-    Parameters
-    ----------
-    names : iterable of str
-        Names of quantities.
-    show : Show
-        The source of events and settings.
-    image : PolarFrame
-        The image.
-    levels : (float, float), optional
-        Values of S0 that are shown black and white; default: those of `levels_of`.
-
-    Returns
-    -------
-    dict of str to ndarray of uint8, shape (H, W)
-
-    Raises
-    ------
-    ValueError
-        If there is no such quantity.
+    AoP also needs DoLP, which fades it.  `levels` are the values of S0 that are shown
+    black and white, by default those of `levels_of`.
     """
     wanted = [quantity(name) for name in names]
     if any(one.colours == "hue" for one in wanted):
@@ -153,13 +128,10 @@ def missing(names: Iterable[str], image: PolarFrame) -> list[str]:
 def palettes() -> dict[str, Any]:
     """Return the quantities that a page offers, and the RGB colours of their planes.
 
-    Returns
-    -------
-    dict
-        ``quantities``: name, symbol, title, unit, colours and the texts at the ends of
-        the legend of each; ``colours``: 256 colours of a plane's numbers, by the name
-        of the colours; ``stripes``: the two colours of pixels that are not valid;
-        ``full_dolp``: DoLP from which AoP has its full colour.
+    ``quantities``: name, symbol, title, unit, colours and the texts at the ends of the
+    legend of each; ``colours``: 256 colours of a plane's numbers, by the name of the
+    colours; ``stripes``: the two colours of pixels that are not valid; ``full_dolp``:
+    DoLP from which AoP has its full colour.
     """
     middle = (np.arange(_HIDDEN, dtype=np.float32) + 0.5) * np.float32(
         math.pi / _HIDDEN)
@@ -197,13 +169,7 @@ def _ends(one: Quantity) -> list[str]:
 
 
 def pane(name: str, show: Show, image: PolarFrame) -> NDArray[np.uint8]:
-    """Return a picture of an image by the name of an output of `VideoCapture`.
-
-    Raises
-    ------
-    ValueError
-        If there is no such picture.
-    """
+    """Return a picture of an image by the name of an output of `VideoCapture`."""
     output = output_named(name)
     if not output.picture:
         raise ValueError(
@@ -223,11 +189,6 @@ def jpeg(picture: NDArray[np.uint8]) -> bytes:
     """Return a picture as JPEG 4:4:4, because subsampled colour distorts AoP.
 
     OpenCV 4.6 can only write 4:2:0.
-
-    Raises
-    ------
-    ImportError
-        If no OpenCV is installed.
     """
     cv2 = opencv()
     done, data = cv2.imencode(".jpg", picture, [

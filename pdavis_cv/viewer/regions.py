@@ -21,24 +21,15 @@ MOST_REGIONS = 16
 
 
 def values(image: PolarFrame, regions: Iterable[Region]) -> list[dict[str, Any]]:
-    """Return the mean values of regions of an image.
+    """Return the mean values of regions (x, y, width, height) of an image.
 
-    Parameters
-    ----------
-    image : PolarFrame
-        Its provenance tells which pixels of the sensor it shows, and how the channels
-        were interpolated; without, it is the whole sensor.
-    regions : iterable of (int, int, int, int)
-        (x, y, width, height) in sensor pixels.
-
-    Returns
-    -------
-    list of dict of str to number or None
-        For each region ``pixels``, the number of usable image pixels that it touches,
-        and of these the angle and degree of the mean Stokes vector, S0 and the mean
-        intensities, with the standard errors of these means as they follow from the
-        pixels' own variances.  A region that is not wholly inside the image, or has no
-        usable pixel, has ``pixels`` = 0 and no values: never those of a part of it.
+    The regions are in sensor pixels.  The image's provenance tells which of these it
+    shows, and how the channels were interpolated; without, it is the whole sensor.  For
+    each region there is ``pixels``, the number of usable image pixels that it touches,
+    and of these the angle and degree of the mean Stokes vector, S0 and the mean
+    intensities, with the standard errors of these means as they follow from the pixels'
+    own variances.  A region that is not wholly inside the image, or has no usable
+    pixel, has ``pixels`` = 0 and no values: never those of a part of it.
     """
     facts = image.provenance
     origin = facts.get("roi", (0, 0))[:2]

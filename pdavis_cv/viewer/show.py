@@ -90,19 +90,9 @@ class Show(ABC):
                 "fps": None if rate is None else float(rate), **self._own_status()}
 
     def command(self, name: str, value: Any) -> None:
-        """Execute a page's command.
+        """Execute a page's command, one of `commands`, with a value from JSON.
 
-        Parameters
-        ----------
-        name : str
-            One of `commands`.
-        value : object
-            Its value, from JSON.
-
-        Raises
-        ------
-        ValueError, TypeError
-            If the command is unknown, or its value is invalid.
+        ValueError or TypeError if the command is unknown, or its value is invalid.
         """
         known = self.commands()
         if name not in known:
@@ -118,15 +108,9 @@ class Show(ABC):
 def show_of(
     where: Any, record_to: str | os.PathLike[str], options: dict[str, Any]
 ) -> Show:
-    """Open a source for the viewer.
+    """Open a source for the viewer, with options of `fuse`.
 
-    Parameters
-    ----------
-    where : path, address, Source or Session
-    record_to : path
-        Folder for what the page records.
-    options : dict of str to object
-        Of `fuse`.
+    What the page records goes into the folder `record_to`.
     """
     if isinstance(where, Session):
         return LiveShow(where, False, record_to)

@@ -29,17 +29,9 @@ class Readable(Protocol):
 
 
 def accepted_key(headers: Mapping[str, str]) -> str:
-    """Return the handshake's answer to a client's WebSocket key.
+    """Return the handshake's answer to the WebSocket key in a request's headers.
 
-    Parameters
-    ----------
-    headers : mapping of str to str
-        Headers of the request.
-
-    Raises
-    ------
-    ValueError
-        If the request is not for a WebSocket of version 13.
+    ValueError if the request is not for a WebSocket of version 13.
     """
     headers = {name.lower(): value for name, value in headers.items()}
     if headers.get("upgrade", "").lower() != "websocket":
@@ -58,17 +50,9 @@ def accepted_key(headers: Mapping[str, str]) -> str:
 
 
 def received(file: Readable) -> bytes | None:
-    """Return the next text of a client, None where it hangs up.
+    """Return the next text that a client sends, None where it hangs up.
 
-    Parameters
-    ----------
-    file : Readable
-        What the client sends.
-
-    Raises
-    ------
-    ValueError
-        If what is sent is no WebSocket's, longer than `MOST_REQUEST` or in parts.
+    ValueError if it is no WebSocket's, longer than `MOST_REQUEST` or in parts.
     """
     while True:
         head = file.read(2)

@@ -138,21 +138,7 @@ def _regions(text: str) -> list[analysis.Roi]:
 def measure(
     args: argparse.Namespace, recording: Recording, load: analysis.LoadTrace | None
 ) -> Findings:
-    """Measure a recording and write the video.
-
-    Parameters
-    ----------
-    args : Namespace
-        Options of the command line.
-    recording : Recording
-        With events, frames or both.
-    load : LoadTrace, optional
-        Force or displacement.
-
-    Returns
-    -------
-    Findings
-    """
+    """Measure a recording and write the video."""
     options = fuse_options(args, recording)
     # Guided demosaicing has the smaller stripes, bilinear no error of a region's mean.
     options["demosaic"], of_regions = (args.demosaic or name for name in (

@@ -22,13 +22,7 @@ def align(
     args: argparse.Namespace, recording: Recording, found: Findings,
     load: analysis.LoadTrace,
 ) -> None:
-    """Add the load's clock and its values at the images' times to the findings.
-
-    Raises
-    ------
-    UsageError
-        If the recording or the file lacks what the alignment needs.
-    """
+    """Add the load's clock and its values at the images' times to the findings."""
     clock = _clock(args, recording, found, load)
     found.clock, found.load = clock, load
     t = found.fused.t_us

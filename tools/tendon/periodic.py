@@ -118,16 +118,9 @@ def measure(
     args: argparse.Namespace, recording: Recording, frames: Frames, demosaic: str,
     regions: list[analysis.Roi], hz: float, reference_us: int,
 ) -> PeriodicLight:
-    """Fit the regions, then each pixel.
+    """Fit the regions, whose mosaic is demosaiced so, then each pixel by ``frames``.
 
-    Parameters
-    ----------
-    demosaic : str
-        How the mosaic of the regions is demosaiced; that of the maps is in ``frames``.
-    hz : float
-        Frequency of the load.
-    reference_us : int
-        Time of phase 0.
+    `hz` is the load's frequency, `reference_us` the time of phase 0.
     """
     always: NDArray[np.bool_] | None = None
     for image, _ in frames.images(demosaic):

@@ -46,15 +46,7 @@ def matplotlib() -> Any:
 
 
 def write_report(path: str | os.PathLike[str], found: Findings) -> None:
-    """Write the report.
-
-    Parameters
-    ----------
-    path : path
-        File to write; appears when it is complete.
-    found : Findings
-        The measurements.
-    """
+    """Write the report; the file appears when it is complete."""
     parts = [
         "<!doctype html><html lang=en><meta charset=utf-8>",
         f"<title>Tendon report</title><style>{_STYLE}</style>",

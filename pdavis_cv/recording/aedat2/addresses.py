@@ -21,12 +21,8 @@ def camera_of(samples: Iterable[NDArray[np.uint32]]
               ) -> tuple[tuple[int, int] | None, bool, str]:
     """Return (height, width) of the sensor, whether it is a DVS128, and what was seen.
 
-    The size is None if the addresses fit no camera, or several.
-
-    Parameters
-    ----------
-    samples : iterable of ndarray of uint32, shape (N,)
-        Addresses from the whole file.
+    The size is None if the addresses, uint32 samples of the whole file, fit no camera,
+    or several.
     """
     words = small = low = plain = 0
     x = y = -1
@@ -55,14 +51,10 @@ def camera_of(samples: Iterable[NDArray[np.uint32]]
 
 
 def as_davis(words: NDArray[np.uint8]) -> None:
-    """Change words of a DVS128 in place to those of a DAVIS of its size.
+    """Change words, uint8 (N, 8), of a DVS128 in place to those of a DAVIS of its size.
 
     A DVS128 has y in bits 8 to 14, x in bits 1 to 7, and bit 0 set for OFF; bit 15
     marks a falling edge of its external input.
-
-    Parameters
-    ----------
-    words : ndarray of uint8, shape (N, 8)
     """
     address: NDArray[Any] = words.view(">u4")[:, 0]
     a = address.astype(np.uint32)

@@ -85,13 +85,7 @@ class Header:
 
 
 def read_header(reader: FileReader) -> Header:
-    """Return the header of a file that begins with ``#!AER-DAT2``.
-
-    Raises
-    ------
-    RecordingError
-        If the header does not end within 4 MiB.
-    """
+    """Return the header, of at most 4 MiB, of a file that begins ``#!AER-DAT2``."""
     at = 0
     for most in (USUAL_HEADER, MAX_HEADER):
         data = reader.read(0, most)

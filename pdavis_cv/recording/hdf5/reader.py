@@ -108,10 +108,7 @@ class Hdf5Recording(PiecewiseRecording):
     def _member(self, group: Any, name: str) -> Any:
         """Return a group or a dataset that lies in this file, None if there is none.
 
-        Raises
-        ------
-        RecordingError
-            If HDF5 would read another file instead, which nobody named.
+        If HDF5 would read another file instead, which nobody named, that is an error.
         """
         h5py = h5py_module()
         link = group.get(name, getlink=True)
@@ -154,13 +151,7 @@ class Hdf5Recording(PiecewiseRecording):
         self._budget.total(row * len(found))
 
     def _records(self, name: str, fields: str) -> Any:
-        """Return ``/NAME/events`` of Metavision, None if there is none.
-
-        Raises
-        ------
-        RecordingError
-            If it has other fields, or is compressed by a codec that is not installed.
-        """
+        """Return ``/NAME/events`` of Metavision, None if there is none."""
         h5py = h5py_module()
         group = self._member(self._file, name)
         if not isinstance(group, h5py.Group):
@@ -255,14 +246,7 @@ class Hdf5Recording(PiecewiseRecording):
         return int(x.max(initial=0)), int(y.max(initial=0))
 
     def _stated_size(self, options: SourceOptions) -> Fact | None:
-        """Return the sensor (height, width) that the file states, None if it does not.
-
-        Raises
-        ------
-        RecordingError
-            If the attribute is something else than two numbers, and the caller does
-            not state the size.
-        """
+        """Return the sensor (height, width) that the file states, None without."""
         for name in ("sensor_size", "sensor_resolution", "geometry"):
             found = self._file.attrs.get(name)
             if found is None:

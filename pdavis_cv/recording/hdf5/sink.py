@@ -71,13 +71,7 @@ class _Sink(io.RawIOBase):
 
 @contextlib.contextmanager
 def written(path: Path) -> Iterator[Any]:
-    """Open an HDF5 file to be written; raise at the end what went wrong.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written, e.g. because the disk is full.
-    """
+    """Open an HDF5 file to be written; raise at the end what the system refused."""
     h5py = h5py_module()
     with contextlib.closing(_Sink(path)) as sink:
         with h5py.File(sink, "w") as file:

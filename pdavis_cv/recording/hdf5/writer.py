@@ -21,27 +21,10 @@ from pdavis_cv.recording.writer import source_text
 
 def write_hdf5(path: str | os.PathLike[str], recording: Recording, *,
                flavour: str = "e2p") -> Mapping[str, int]:
-    """Write a recording as HDF5.
+    """Write a recording as HDF5, which appears under its name when it is complete.
 
-    Parameters
-    ----------
-    path : path
-        The file appears under this name when it is complete.
-    recording : Recording
-    flavour : {"e2p", "dsec", "rpg"}
-        E2P and rpg hold events and frames; DSEC's layout holds events only.
-
-    Returns
-    -------
-    mapping of str to int
-        Number of occurrences of what the format could not hold, by description.
-
-    Raises
-    ------
-    ValueError
-        If the flavour is unknown.
-    ImportError
-        If h5py is not installed.
+    E2P and rpg hold events and frames; DSEC's layout holds events only.  Returns what
+    the format could not hold, by description, and how often.
     """
     if flavour not in _FLAVOURS:
         raise ValueError(f"flavour must be {', '.join(_FLAVOURS)}, got {flavour!r}")

@@ -25,10 +25,7 @@ MOST_CELLS = 1 << 14
 def measured_full_scale(images: Sequence[NDArray[Any]]) -> int | None:
     """Return the value at which samples of 10, 12, .. bits are clipped, None without.
 
-    Parameters
-    ----------
-    images : sequence of ndarray
-        Of unsigned integers.  Bits may be shifted up: 4092 = 1023 x 4.
+    They are unsigned integers, whose bits may be shifted up: 4092 = 1023 x 4.
     """
     top = max(int(image.max(initial=0)) for image in images)
     step = top & -top
@@ -51,17 +48,9 @@ def assumed_full_scale(images: Sequence[NDArray[Any]]) -> int:
 def found_colours(mosaic: NDArray[Any]) -> str | None:
     """Return the colours of a colour and polarization camera, None of a monochrome one.
 
-    Its filters cover 2x2 pixels each, two of which, on a diagonal, are green, so that
-    their means differ with period 4.  Red is taken as the one in the first row.
-
-    Parameters
-    ----------
-    mosaic : ndarray, shape (H, W)
-
-    Returns
-    -------
-    str or None
-        The 16 colours of the 4x4 cell, by row; see `Layout`.
+    They are 16, of the 4x4 cell, by row; see `Layout`.  The camera's filters cover 2x2
+    pixels each, two of which, on a diagonal, are green, so that their means differ with
+    period 4.  Red is taken as the one in the first row.
     """
     best: Layout | None = None
     spread = 0.0

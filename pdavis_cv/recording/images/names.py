@@ -28,11 +28,6 @@ def names_of(source: str) -> list[str]:
 
     Only the last part of a path may be a pattern; folders are taken as they are, if
     they exist.
-
-    Raises
-    ------
-    RecordingError
-        If there is none.
     """
     path = Path(source)
     if path.is_dir():
@@ -65,15 +60,9 @@ def names_of(source: str) -> list[str]:
 def by_angle(names: Sequence[str]) -> list[list[str]] | None:
     """Return the files of each channel, if names differ only in a polarizer's angle.
 
-    Parameters
-    ----------
-    names : sequence of str
-        As ``a_I0.png``, ``a_I45.png``, ``a_I90.png``, ``a_I135.png``, ``b_I0.png``, ..
-
-    Returns
-    -------
-    list of four lists, or None
-        In the order I0, I45, I90, I135; None if any file belongs to no four.
+    They are as ``a_I0.png``, ``a_I45.png``, ``a_I90.png``, ``a_I135.png``,
+    ``b_I0.png``.  The order of the four lists is I0, I45, I90, I135; None if any file
+    belongs to no four.
     """
     groups: dict[tuple[str, str], dict[int, str]] = {}
     for name in names:
@@ -92,18 +81,9 @@ def by_angle(names: Sequence[str]) -> list[list[str]] | None:
 def angles_of(stated: str, names: Sequence[str]) -> list[float]:
     """Return the angle in degrees of each file's polarizer.
 
-    Parameters
-    ----------
-    stated : str
-        ``"names"``: the last number that differs in them, as in ``pol_030.png``;
-        numbers with commas; or the name of a text file with one number a line, which
-        may follow the name of the image.
-    names : sequence of str
-
-    Raises
-    ------
-    ValueError
-        If they do not tell it.
+    They are stated by ``"names"``: the last number that differs in them, as in
+    ``pol_030.png``; by numbers with commas; or by the name of a text file with one
+    number a line, which may follow the name of the image.
     """
     if stated == "names":
         found = [re.findall(r"\d+(?:\.\d+)?", Path(name).stem) for name in names]

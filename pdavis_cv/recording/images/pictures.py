@@ -58,12 +58,8 @@ class Pictures(ABC):
     def images(self, first: int = 0) -> Images:
         """Iterate over the images from number `first` on.
 
-        Yields
-        ------
-        time_us : float or None
-            Time of the image, where it is known only from reading.
-        image : ndarray, shape (H, W) or (4, H, W)
-            One mosaic, or the intensities I0, I45, I90, I135.
+        Each is a time, us, where it is known only from reading, else None, and one
+        mosaic, (H, W), or the intensities I0, I45, I90, I135, (4, H, W).
         """
 
 
@@ -223,13 +219,7 @@ def readable(path: str, kind: str) -> Iterator[None]:
 
 
 def one_plane(image: NDArray[Any], name: str) -> NDArray[Any]:
-    """Return the grey plane of an image whose last axis may be colour channels.
-
-    Raises
-    ------
-    RecordingError
-        If it is a colour image, or its numbers are not real.
-    """
+    """Return the grey plane of an image whose last axis may be colour channels."""
     if image.ndim == 3:
         planes = [image[..., k] for k in range(min(image.shape[2], 3))]
         # A grey image that was stored as colour has three equal channels; a second or
