@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import hashlib
 import importlib
 import os
 from pathlib import Path, PurePosixPath
@@ -132,6 +131,7 @@ class RemotePath(PurePosixPath):
         for tag in _TAGS:
             if facts.get(tag):
                 return f"{tag} {facts[tag]} {facts['size']}"
+        import hashlib  # slow to import
         digest = hashlib.sha256()
         with contextlib.closing(self.open()) as file:
             while part := file.read(_BLOCK):

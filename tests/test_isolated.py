@@ -1,6 +1,7 @@
 """A file that another process reads, which can do nothing else."""
 import os
 import pickle
+import resource
 import signal
 import textwrap
 
@@ -10,14 +11,16 @@ from test_aedat4 import joined
 from test_aedat4_writer import small
 
 from pdavis_cv import (
+    EVENT_DTYPE,
     LayoutError,
     Limits,
     PdavisWarning,
     RecordingError,
     open_recording,
+    recording_from_arrays,
     write_aedat4,
 )
-from pdavis_cv.recording import isolated, sandbox
+from pdavis_cv.recording import isolated, sandbox, wire
 from pdavis_cv.recording.hdf5.writer import write_hdf5
 from pdavis_cv.tools.main import main
 
@@ -106,6 +109,38 @@ def test_real_files_are_the_same(data_dir):
             same(there, here)
 
 
+def test_shared_memory_is_used_again_but_not_while_arrays_are_in_it():
+    room, kept = wire.Room(memoryview(bytearray(1000))), {}
+    rng = np.random.default_rng(0)
+    for number in range(2000):
+        part = room.new(int(rng.integers(1, 200)), 1000)
+        if part is None:
+            kept.pop(rng.choice(list(kept)))
+            continue
+        part[:] = number % 251
+        kept[number] = part[:max(1, len(part) // 2)].view("i1")  # a view is enough
+        for n, array in kept.items():
+            assert np.all(array.view("u1") == n % 251)
+    at, array = room.put(kept[max(kept)])
+    assert array is kept[max(kept)]     # where it lies already
+    assert bytes(room._memory[at:at + len(array)]) == array.tobytes()
+    with pytest.raises(MemoryError):
+        room.put(np.zeros(1001, "u1"))
+
+
+def test_memory_is_not_mapped_anew_for_each_packet(tmp_path):
+    events = np.zeros(2_000_000, EVENT_DTYPE)
+    events["t"] = np.arange(len(events)) // 4
+    path = tmp_path / "x.aedat4"
+    write_aedat4(path, recording_from_arrays(events, sensor_size=(4, 4)))
+    with open_recording(path, isolated=True) as recording:
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        size = sum(packet.events.nbytes for packet in recording.packets())
+        pages = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+    assert size == events.nbytes
+    assert pages < size / resource.getpagesize() / 2
+
+
 def test_windows_are_read_in_turns(tmp_path):
     write_aedat4(tmp_path / "x.aedat4", small())
     with open_recording(tmp_path / "x.aedat4", isolated=True) as recording:
@@ -153,9 +188,9 @@ def test_it_writes_to_temporary_files_which_go_with_it(reads):
     ("os.abort()", "died .SIGABRT"),
     ("os._exit(1)", "process that reads it ended"),
     ("1 / 0", "division by zero"),
-    ("for fd in range(3, 30):\n    try: os.write(fd, bytes([0, 0, 0, 4]) + b'junk')\n"
+    ("for fd in range(3, 30):\n    try: os.write(fd, bytes([4] + 7 * [0]) + b'junk')\n"
      "    except OSError: pass", "sent no answer"),
-    ("for fd in range(3, 30):\n    try: os.write(fd, bytes([127, 255, 255, 255]))\n"
+    ("for fd in range(3, 30):\n    try: os.write(fd, 8 * bytes([127]))\n"
      "    except OSError: pass\nimport time; time.sleep(60)", "it ended")])
 def test_a_reader_that_fails_is_an_error(reads, monkeypatch, code, message):
     monkeypatch.setattr(isolated, "_SECONDS", 0.5)

@@ -4,7 +4,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -219,9 +219,18 @@ class ApsFrame(Advises):
                 f"exposure {self.exposure_ms:g} ms)")
 
 
+new_array: Callable[[int, np.dtype[Any]], NDArray[Any]] = np.empty
+"""Makes memory for samples; a process that sends them to another has its own."""
+
+# glibc returns memory at the end of its heap to the system, but from then on that a
+# block of this size was released it keeps as much: each packet would else come of
+# pages that the system has to make, which takes longer than to decode it.
+np.empty(1 << 23, np.uint8)
+
+
 def joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """Return one or more arrays of the same dtype as one array, a copy."""
-    out = np.empty(sum(map(len, parts)), parts[0].dtype)
+    out = new_array(sum(map(len, parts)), parts[0].dtype)
     # Copy bytes, as NumPy copies packed structures field by field.
     data, at = out.view(np.uint8), 0
     for part in parts:

@@ -19,7 +19,6 @@ import threading
 import warnings
 import weakref
 from collections.abc import Iterator, Sequence
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -95,13 +94,11 @@ class IsolatedRecording(Recording):
             folder = stack.enter_context(tempfile.TemporaryDirectory(
                 prefix="pdavis-", ignore_cleanup_errors=True))
             shared = sandbox.own_memory(most)
-            hears, self_asks = os.pipe()
-            self_hears, says = os.pipe()
-            self._asks = Connection(self_asks, readable=False)
-            self._hears = Connection(self_hears, writable=False)
             self._memory = mmap.mmap(shared, most, prot=mmap.PROT_READ)
-            for one in (self._asks, self._hears):
-                stack.callback(one.close)
+            hears, asks = os.pipe()
+            answers, says = os.pipe()
+            self._asks = stack.enter_context(open(asks, "wb"))
+            self._hears = stack.enter_context(open(answers, "rb"))
             path = [os.path.abspath(one) for one in sys.path]
             theirs = hears, says, shared
             try:
@@ -133,10 +130,9 @@ class IsolatedRecording(Recording):
             if not self._end.alive:
                 raise ValueError(f"{self.name}: recording is closed")
             try:
-                self._asks.send_bytes(pickle.dumps(question))
-                answer = wire.read(
-                    self._hears.recv_bytes(_MOST_TEXT), memoryview(self._memory))
-                value, error, problems, said = answer
+                wire.send(self._asks, pickle.dumps(question))
+                value, error, problems, said = wire.read(
+                    wire.receive(self._hears, _MOST_TEXT), memoryview(self._memory))
             except (EOFError, OSError):
                 raise self._died() from None
             except (ValueError, TypeError, KeyError, IndexError, RecursionError) as bad:

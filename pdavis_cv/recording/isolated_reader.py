@@ -3,17 +3,19 @@ from __future__ import annotations
 
 import contextlib
 import mmap
+import os
 import pickle
 import signal
 import sys
-import tempfile
 import warnings
 from collections.abc import Iterator
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from pdavis_cv.recording import sandbox, wire
+import numpy as np
+from numpy.typing import NDArray
+
+from pdavis_cv.recording import base, sandbox, wire
 from pdavis_cv.recording.base import Packet, Problem, Recording
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.open import open_recording
@@ -24,6 +26,8 @@ _FULL = 2 << 20
 """Bytes of arrays from which packets are sent.  A choice."""
 _MORE_BYTES = 512 << 20
 """Memory beside that of `Limits`: what libraries take."""
+_ROOM = 1 << 26
+"""Bytes of samples that readers make in the shared memory.  A choice."""
 _HERE = Path(__file__).resolve().parents[2]
 
 
@@ -65,8 +69,10 @@ def serve(most: int, hears: int, says: int, shared: int) -> None:
     hears, says, shared : int
         Descriptors of pipes and of the shared memory.
     """
-    ask, say = Connection(hears, writable=False), Connection(says, readable=False)
-    memory, said = memoryview(mmap.mmap(shared, most)), list[tuple[str, str]]()
+    room, kept = wire.Room(memoryview(mmap.mmap(shared, most))), list[NDArray[Any]]()
+    base.new_array = lambda count, dtype: np.empty(count, dtype) if (
+        found := room.new(count * dtype.itemsize, _ROOM)) is None else found.view(dtype)
+    ask, say, said = open(hears, "rb"), open(says, "wb"), list[tuple[str, str]]()
     signal.signal(signal.SIGINT, signal.SIG_IGN)    # is for the other process
     warnings.simplefilter("always")
     warnings.showwarning = lambda text, kind, *_: said.append(
@@ -84,7 +90,7 @@ def serve(most: int, hears: int, says: int, shared: int) -> None:
             folders, seconds, source, options = question
             budget = Budget(source, options.limits)
             sandbox.enter((*sys.path, sys.prefix, sys.base_prefix, _HERE, *folders),
-                          tempfile.gettempdir(), most + _MORE_BYTES)
+                          os.environ["TMPDIR"], most + _MORE_BYTES)
             sandbox.more_time(seconds)
             recording = open_recording(source, options)
             return recording.name, recording.info
@@ -100,16 +106,18 @@ def serve(most: int, hears: int, says: int, shared: int) -> None:
 
     with contextlib.suppress(EOFError, BrokenPipeError):
         while True:
-            question = pickle.loads(ask.recv_bytes())
+            question = pickle.loads(wire.receive(ask))
+            kept.clear()
             try:
                 text = wire.written(
-                    (answer(question), None, problems(), said), memory)
+                    (answer(question), None, problems(), said), room, kept)
             except Exception as error:
                 lacks = isinstance(error, MemoryError) or "memory alloc" in str(error)
                 known = budget.over("memory", "its reader") if lacks else error
                 text = wire.written((
-                    None, (type(known).__name__, str(known)), problems(), said), memory)
+                    None, (type(known).__name__, str(known)), problems(), said),
+                    room, kept)
             said.clear()
-            say.send_bytes(text.encode())
+            wire.send(say, text)
             if question[0] == "next":
                 windows[question[1]].prepare()

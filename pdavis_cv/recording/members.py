@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,6 +34,7 @@ class Member:
     @functools.cached_property
     def sha256(self) -> str:
         """SHA-256 of the content, read at first use."""
+        import hashlib  # slow to import
         digest = hashlib.sha256()
         with self.path.open("rb") as file:
             while block := file.read(_BLOCK):

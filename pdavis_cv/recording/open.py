@@ -11,8 +11,7 @@ from pdavis_cv._options import changed, names_options
 from pdavis_cv._remote import as_path, is_remote
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Recording
-from pdavis_cv.recording.images.reader import is_four_planes
-from pdavis_cv.recording.isolated import IsolatedRecording
+from pdavis_cv.recording.images.names import is_four_planes
 from pdavis_cv.recording.options import SourceKeywords, SourceOptions
 from pdavis_cv.recording.registry import FORMATS, first_bytes, format_of, read_with
 from pdavis_cv.recording.text_form import PNM
@@ -65,7 +64,8 @@ def open_recording(
     if isinstance(source, Recording):
         return source
     options = changed(SourceOptions, options, changes)
-    if options.isolated:
+    if options.isolated:    # here, as its process does not need it
+        from pdavis_cv.recording.isolated import IsolatedRecording
         return IsolatedRecording(source, options)
     if not isinstance(source, str | os.PathLike):
         if not isinstance(source, Sequence) or not all(

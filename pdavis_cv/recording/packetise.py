@@ -28,11 +28,6 @@ END_OF_TIME = 1 << 62
 _PIXEL = 5
 """Bytes of a frame's pixel: its DN, and whether it is valid."""
 
-# glibc returns memory at the end of its heap to the system, but from then on that a
-# block of this size was released it keeps as much: each packet would else come of
-# pages that the system has to make, which takes longer than to decode it.
-np.empty(1 << 23, np.uint8)
-
 
 @dataclass(slots=True)
 class Batch:

@@ -13,7 +13,7 @@ from typing import Any
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.format import Format
-from pdavis_cv.recording.images.reader import is_four_planes
+from pdavis_cv.recording.images.names import is_four_planes
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.registry import Registry, instead, loaded
 

@@ -9,7 +9,6 @@ import contextlib
 import ctypes
 import functools
 import os
-import platform
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -74,7 +73,7 @@ def _version() -> int:
 
 def available() -> bool:
     """Return whether this system can do what `enter` does."""
-    if sys.platform != "linux" or platform.machine() not in _REFUSED:
+    if sys.platform != "linux" or os.uname().machine not in _REFUSED:
         return False
     try:
         return _version() >= 1
@@ -122,7 +121,7 @@ def _restrict_files(read: Iterable[str | os.PathLike[str]], write: str) -> None:
 
 
 def _restrict_calls() -> None:
-    machine, refused = _REFUSED[platform.machine()]
+    machine, refused = _REFUSED[os.uname().machine]
     steps = [
         _Step(_LOAD, 0, 0, 4), _Step(_EQUAL, 1, 0, machine),
         _Step(_RETURN, 0, 0, _KILL), _Step(_LOAD, 0, 0, 0),

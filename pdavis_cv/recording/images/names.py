@@ -10,6 +10,7 @@ from pathlib import Path
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.sensor import CHANNELS
 
+TIFF_SUFFIXES = (".tif", ".tiff")
 FIRST_NUMBERS = range(5)
 """Possible first numbers of a pattern, as in cv2.VideoCapture."""
 _NUMBER = re.compile(r"%(0?\d{0,2})d")
@@ -76,6 +77,23 @@ def by_angle(names: Sequence[str]) -> list[list[str]] | None:
     first = natural_order(group[0] for group in whole)
     order = sorted(whole, key=lambda group: first.index(group[0]))
     return [[group[angle] for group in order] for angle in CHANNELS]
+
+
+def is_four_planes(source: str) -> bool:
+    """Return whether a name or pattern denotes planes I0, I45, I90, I135.
+
+    These are a recording whatever the layout of a mosaic might be.
+    """
+    try:
+        names = names_of(source)
+        if by_angle(names) is not None:
+            return True
+        if Path(names[0]).suffix.lower() not in TIFF_SUFFIXES:
+            return False
+        from pdavis_cv.recording.images.tiff import TiffPictures  # slow to import
+        return TiffPictures(names[0]).four
+    except (OSError, ImportError):
+        return False
 
 
 def angles_of(stated: str, names: Sequence[str]) -> list[float]:

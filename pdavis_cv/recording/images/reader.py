@@ -21,7 +21,12 @@ from pdavis_cv.recording.images.checks import (
     found_colours,
     measured_full_scale,
 )
-from pdavis_cv.recording.images.names import angles_of, by_angle, names_of
+from pdavis_cv.recording.images.names import (
+    TIFF_SUFFIXES,
+    angles_of,
+    by_angle,
+    names_of,
+)
 from pdavis_cv.recording.images.pictures import (
     AlignedPictures,
     FourPictures,
@@ -39,7 +44,6 @@ from pdavis_cv.sensor import Layout
 from pdavis_cv.steps import AnalyserSteps
 
 STILL_SUFFIXES = (".bmp", ".jp2", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".webp")
-TIFF_SUFFIXES = (".tif", ".tiff")
 ASSUMED_FPS = 25
 """Images per second if neither the file nor the caller states it, as in cv2."""
 UNIT_DN = 65535
@@ -292,18 +296,3 @@ class ImageRecording(FileRecording):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self._names or os.fspath(self._path), self._options)
-
-
-def is_four_planes(source: str) -> bool:
-    """Return whether a name or pattern denotes planes I0, I45, I90, I135.
-
-    These are a recording whatever the layout of a mosaic might be.
-    """
-    try:
-        names = names_of(source)
-        if by_angle(names) is not None:
-            return True
-        return (Path(names[0]).suffix.lower() in TIFF_SUFFIXES
-                and TiffPictures(names[0]).four)
-    except (OSError, ImportError):
-        return False
