@@ -47,6 +47,18 @@ class Shown:
         return len(text)
 
 
+def drawn(text: str) -> str:
+    r"""Return a text that matplotlib draws as it is: ``$`` begins no formula.
+
+    Examples
+    --------
+    >>> print(drawn("$x_{"), drawn("_a"))
+    \$x_{  _a
+    """
+    # Names that begin with _ are left out of legends.
+    return " " * text.startswith("_") + shown(text).replace("$", r"\$")
+
+
 def for_script(value: Any) -> str:
     """Return a value as JSON inside a page's script, which no text in it can end."""
     return json.dumps(value).replace("<", "\\u003c")

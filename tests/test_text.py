@@ -10,9 +10,10 @@ import pytest
 
 import pdavis_cv
 from pdavis_cv import DamagedFileWarning, RecordingError, export, open_source, serve
-from pdavis_cv._text import MOST_TEXT, Shown, for_script, shown, table_text
+from pdavis_cv._text import MOST_TEXT, Shown, drawn, for_script, shown, table_text
 from pdavis_cv.data import example_recording
 from pdavis_cv.tools import main
+from pdavis_cv.tools._calibration_report import Page, write_report
 
 HOSTILE = "\x1b]0;title\x07\x1b[31mRED\x1b[2J\x9b5m\x7f\u202e"
 CONTROLS = set(map(chr, [*range(9), *range(11, 32), *range(127, 160), 0x202E]))
@@ -104,3 +105,16 @@ def test_a_time_that_is_no_date_is_said(tmp_path, capsys):
         events, sensor_size=(260, 346)))
     assert main.main(["info", str(path)]) == 0
     assert "s after 1970, no date" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["$x_{", "a$b$", r"\$\alpha$", "_hidden", "\x1b["])
+def test_a_name_is_no_formula_in_a_figure(name, tmp_path):
+    figure = pytest.importorskip("matplotlib.figure").Figure()
+    axes = figure.subplots()
+    axes.plot([0, 1], label=drawn(name))
+    shown, = axes.legend().get_texts()
+    figure.savefig(tmp_path / "a.svg", metadata={"Date": None})
+    plain = shown.get_text()
+    assert shown._preprocess_math(plain)[1] is False
+    assert shown._preprocess_math(plain)[0].strip() == name.replace("\x1b", r"\x1b")
+    assert write_report(tmp_path / "a.png", Page(name, [name]))

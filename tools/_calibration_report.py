@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv._text import drawn
 from pdavis_cv._types import Image
 
 from ._common import can_draw
@@ -59,8 +60,8 @@ def write_report(path: Path, page: Page) -> bool:
     parts: Any = figure.subfigures(
         3, 1, height_ratios=[0.25 + 0.16 * len(page.lines), 3.2, 3.2])
     text, *rest = parts
-    text.suptitle(page.title, fontsize=16)
-    text.text(0.05, 0.8, "\n".join(page.lines), va="top", fontsize=10,
+    text.suptitle(drawn(page.title), fontsize=16)
+    text.text(0.05, 0.8, "\n".join(map(drawn, page.lines)), va="top", fontsize=10,
               family="monospace", wrap=True)
     for row, start in zip(rest, (0, 2), strict=True):
         figures = page.figures[start:start + 2]

@@ -14,7 +14,7 @@ import numpy as np
 
 from pdavis_cv import analysis, render
 from pdavis_cv._beside import write_beside
-from pdavis_cv._text import for_script
+from pdavis_cv._text import drawn, for_script
 
 from .findings import Findings
 from .results import clock_of, error_of, rounded, rows_of
@@ -242,7 +242,7 @@ def _traces(figure: Any, found: Findings) -> None:
                 values, se = _degrees(values), np.rad2deg(se)
             axes.fill_between(
                 t, values - se, values + se, color=colour, alpha=0.3, lw=0)
-            axes.plot(t, values, color=colour, lw=1, label=roi.name)
+            axes.plot(t, values, color=colour, lw=1, label=drawn(roi.name))
         rate.plot(t, table["event_rate"] / 1e3, color=colour, lw=0.8)
         if found.frames is not None:
             part = found.frames.table[i]
@@ -253,7 +253,7 @@ def _traces(figure: Any, found: Findings) -> None:
     dolp.set_ylabel("DoLP")
     dolp.legend(loc="upper right", fontsize=8)
     aop.set_ylabel("AoP / deg")
-    rate.set_ylabel("events / 1000 s$^{-1}$")
+    rate.set_ylabel("events / ms")
     rate.set_xlabel("time / s")
 
 
@@ -272,7 +272,7 @@ def _cycle(figure: Any, found: Findings) -> None:
         axes.plot(place, analysis.of_dolp(stokes.T), ".", ms=3, alpha=0.4, color=colour)
         if found.waves[i] is not None:
             curve = analysis.of_dolp(light.fit.regions[i].cycle(200))
-            axes.plot(np.arange(200) / 200, curve, color=colour, label=roi.name)
+            axes.plot(np.arange(200) / 200, curve, color=colour, label=drawn(roi.name))
     axes.set_xlabel(f"phase / cycles of {found.load_hz:.4f} Hz")
     axes.set_ylabel("DoLP")
     if any(found.waves):
@@ -285,7 +285,7 @@ def _loop(figure: Any, found: Findings) -> None:
         if loop is None:
             continue
         axes.plot(np.append(loop.x, loop.x[:1]), np.append(loop.y, loop.y[:1]),
-                  color=_COLOURS[i % len(_COLOURS)], label=roi.name)
+                  color=_COLOURS[i % len(_COLOURS)], label=drawn(roi.name))
     axes.set_xlabel("force / N" if "force_n" in found.extra else "displacement / mm")
     axes.set_ylabel("DoLP")
     axes.legend(fontsize=8)
