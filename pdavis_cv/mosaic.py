@@ -1,6 +1,7 @@
 """Demosaicing: four full images from the 2x2 polarizer mosaic."""
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -126,9 +127,10 @@ def demosaic(
     if layout.colours:
         out = output(out, (3, 4, height, width), np.float32, mosaic)
         if mosaic.size:
+            plain = replace(layout, colours=None)
             planes = colour_mosaics(mosaic, layout, method, valid)
             for plane, one in zip(planes, out, strict=True):
-                demosaic(plane, layout.monochrome, method, one, valid=valid)
+                demosaic(plane, plain, method, one, valid=valid)
         return out
     places = places_of(layout)
     if method in HALF_SIZE:
@@ -309,7 +311,7 @@ def check_method(
 
 def places_of(layout: Layout | str) -> NDArray[np.intp]:
     """Return the place of each channel in the cell, as an array for kernels."""
-    return _places(Layout.of(layout).monochrome)
+    return _places(Layout.of(layout))
 
 
 def scratch_rows(rows: int, width: int) -> NDArray[np.float32]:

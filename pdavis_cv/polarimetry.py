@@ -123,11 +123,9 @@ class PolarFrame(Advises):
                   frame_us, extinction_ratio, analyser, copies.get("variance"),
                   provenance, quality=copies.get("quality"), reconciled=reconciled)
 
-    @classmethod
-    def adopt(
-        cls,
+    def _set(
+        self,
         quad: NDArray[np.float32],
-        *,
         valid: NDArray[np.bool_] | None = None,
         t_us: int | None = None,
         frame_us: int | None = None,
@@ -135,84 +133,6 @@ class PolarFrame(Advises):
         analyser: ArrayLike | Analyser | None = None,
         variance: NDArray[np.float32] | None = None,
         provenance: Facts | None = None,
-        quality: NDArray[np.float32] | None = None,
-        reconciled: bool = False,
-        aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None,
-        sigmas: NDArray[np.float32] | Callable[[], NDArray[np.float32]] | None = None,
-    ) -> Self:
-        """Make a PolarFrame that takes ownership of the arrays without copying them.
-
-        The parameters are those of the class, and angle and degree if they are known
-        already, and errors: of AoP, of DoLP, and of (S1, S2)/S0 across its direction,
-        or what makes them at first use.
-        ``quad``, ``variance`` and ``quality`` must be C-contiguous float32,
-        ``valid`` C-contiguous bool.  They become read-only, and no other code may keep
-        references to their memory.
-        """
-        for name, array, dtype in (("quad", quad, np.float32),
-                                   ("valid", valid, np.bool_),
-                                   ("variance", variance, np.float32),
-                                   ("quality", quality, np.float32)):
-            if array is not None and (array.dtype != dtype
-                                      or not array.flags.c_contiguous):
-                raise TypeError(
-                    f"{name} must be C-contiguous {np.dtype(dtype)} to be adopted, "
-                    f"got {array.dtype} with strides {array.strides}")
-        frame = cls.__new__(cls)
-        frame._set(quad, valid, t_us, frame_us, extinction_ratio, analyser, variance,
-                   provenance, quality=quality, reconciled=reconciled)
-        if aop_dolp is not None:
-            frame._aop_dolp = frozen(aop_dolp[0]), frozen(aop_dolp[1])
-        frame._sigmas = sigmas
-        return frame
-
-    @classmethod
-    def of_colours(cls, quads: NDArray[np.float32], **about: Any) -> Self:
-        """Make a PolarFrame of the channels of red, green and blue light.
-
-        It is that of all light, `joint`; `colours` are those of the three.  The
-        parameters are those of `adopt`, quads of shape (3, 4, H, W).
-        """
-        frame = cls.adopt(joint(quads), **about)
-        frame._colours = MappingProxyType({
-            name: cls.adopt(quad, **about)
-            for name, quad in zip(COLOURS, quads, strict=True)})
-        return frame
-
-    def retimed(
-        self, t_us: int, frame_us: int | None, provenance: Facts
-    ) -> Self:
-        """Return the same image for another time; both share cached quantities.
-
-        Parameters
-        ----------
-        t_us : int
-        frame_us : int or None
-        provenance : mapping of str to object
-            As for the class.
-
-        Returns
-        -------
-        PolarFrame
-        """
-        other = type(self).__new__(type(self))
-        for name in PolarFrame.__slots__:
-            setattr(other, name, getattr(self, name))
-        other._origin = self._origin or self
-        other.t_us, other.frame_us = t_us, frame_us
-        other._provenance = dict(provenance)
-        return other
-
-    def _set(
-        self,
-        quad: NDArray[np.float32],
-        valid: NDArray[np.bool_] | None,
-        t_us: int | None,
-        frame_us: int | None,
-        extinction_ratio: float | None,
-        analyser: ArrayLike | Analyser | None,
-        variance: NDArray[np.float32] | None,
-        provenance: Facts | None,
         quality: NDArray[np.float32] | None = None,
         reconciled: bool = False,
     ) -> None:
@@ -432,10 +352,64 @@ class PolarFrame(Advises):
             return None
 
 
-def _restored_frame(*arguments: Any) -> PolarFrame:
+def _restored_frame(*arguments: Any, **about: Any) -> PolarFrame:
     frame = PolarFrame.__new__(PolarFrame)
-    frame._set(*arguments)
+    frame._set(*arguments, **about)
     return frame
+
+
+def adopted(
+    quad: NDArray[np.float32], *,
+    aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None,
+    sigmas: NDArray[np.float32] | Callable[[], NDArray[np.float32]] | None = None,
+    **about: Any,
+) -> PolarFrame:
+    """Return a PolarFrame that takes ownership of arrays without copying them.
+
+    They must be C-contiguous, float32 or bool; they become read-only, and no other code
+    may keep references to their memory.  `about` are the parameters of the class.
+    Angle and degree may be given if they are known already, and errors: of AoP, of
+    DoLP, and of (S1, S2)/S0 across its direction, or what makes them at first use.
+    """
+    for name, array, dtype in (("quad", quad, np.float32),
+                               ("valid", about.get("valid"), np.bool_),
+                               ("variance", about.get("variance"), np.float32),
+                               ("quality", about.get("quality"), np.float32)):
+        if array is not None and (array.dtype != dtype
+                                  or not array.flags.c_contiguous):
+            raise TypeError(
+                f"{name} must be C-contiguous {np.dtype(dtype)} to be adopted, "
+                f"got {array.dtype} with strides {array.strides}")
+    frame = _restored_frame(quad, **about)
+    if aop_dolp is not None:
+        frame._aop_dolp = frozen(aop_dolp[0]), frozen(aop_dolp[1])
+    frame._sigmas = sigmas
+    return frame
+
+
+def adopted_colours(quads: NDArray[np.float32], **about: Any) -> PolarFrame:
+    """Return the PolarFrame of the channels of red, green and blue light, (3, 4, H, W).
+
+    It is that of all light, `joint`; its `colours` are those of the three.
+    """
+    frame = adopted(joint(quads), **about)
+    frame._colours = MappingProxyType({
+        name: adopted(quad, **about)
+        for name, quad in zip(COLOURS, quads, strict=True)})
+    return frame
+
+
+def retimed(
+    image: PolarFrame, t_us: int, frame_us: int | None, provenance: Facts
+) -> PolarFrame:
+    """Return the same image for another time; both share cached quantities."""
+    other = PolarFrame.__new__(PolarFrame)
+    for name in PolarFrame.__slots__:
+        setattr(other, name, getattr(image, name))
+    other._origin = image._origin or image
+    other.t_us, other.frame_us = t_us, frame_us
+    other._provenance = dict(provenance)
+    return other
 
 
 def polarization(
@@ -469,5 +443,5 @@ def polarization(
         As for `pdavis_cv.demosaic` and `stokes`.
     """
     quad = demosaic_mosaic(mosaic, layout, demosaic)
-    made = PolarFrame.adopt if quad.ndim == 3 else PolarFrame.of_colours
+    made = adopted if quad.ndim == 3 else adopted_colours
     return made(quad, extinction_ratio=extinction_ratio)

@@ -166,11 +166,6 @@ class Layout:
                      if _bayer(*place) == self.colours), self.colours)
 
     @property
-    def monochrome(self) -> Layout:
-        """The same polarizers without colour filters."""
-        return replace(self, colours=None)
-
-    @property
     def sensor(self) -> Sensor | None:
         """The sensor whose layout this is, None if it is known by its angles only."""
         return None if self.owner is None else SENSORS[self.owner]
@@ -360,7 +355,7 @@ def resolve_layout(
         ("recording", recording)) if layout is not None]
     for name, layout in known[1:]:
         first = known[0][1]
-        if layout.monochrome != first.monochrome or (
+        if layout.angles_deg != first.angles_deg or (
                 layout.colours and first.colours and layout != first):
             raise LayoutError(
                 f"the {known[0][0]} says {first}, the {name} says {layout}: "

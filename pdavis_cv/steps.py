@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._checks import floats
 from pdavis_cv.analyser import Analyser
-from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.polarimetry import PolarFrame, adopted
 from pdavis_cv.stokes_vector import propagated, stokes
 
 _LEAST_TO_FIND = 5
@@ -178,8 +178,8 @@ class AnalyserSteps:
                         variance[some], (n, len(some))))
             return made.reshape(3, *shape)
 
-        return PolarFrame.adopt(quad.reshape(4, *shape), valid=usable.reshape(shape),
-                                sigmas=sigmas if n > 3 else None)
+        return adopted(quad.reshape(4, *shape), valid=usable.reshape(shape),
+                       sigmas=sigmas if n > 3 else None)
 
 
 def _pooled(values: NDArray[np.float32] | int) -> NDArray[np.float32]:

@@ -12,6 +12,7 @@ from images import DTYPES
 import pdavis_cv
 from pdavis_cv import Layout, LayoutError, LayoutWarning, _kernels, fuse, render
 from pdavis_cv.colour_mosaic import COLOURS, colour_mosaics
+from pdavis_cv.polarimetry import adopted_colours
 from pdavis_cv.recording.images.checks import found_colours
 from pdavis_cv.simulation import Camera, Coloured, FunctionScene
 from pdavis_cv.tools.main import main
@@ -86,7 +87,6 @@ def test_kernels_refuse_arrays_that_do_not_fit():
 def test_a_layout_of_colours_by_name():
     assert COLOUR.colours == "RRGGRRGGGGBBGGBB"
     assert COLOUR == Layout((90, 45), (135, 0), colours="rggb") != Layout.SONY
-    assert COLOUR.monochrome == Layout.SONY
     assert COLOUR.sensor is Layout.SONY.sensor
     assert str(COLOUR) == "((90, 45), (135, 0)) rggb"
     for layout in (COLOUR, COLOUR.crop(1, 3), Layout.SONY):
@@ -381,7 +381,7 @@ def test_a_coloured_scene_needs_scenes_and_a_layout_with_colours():
 def test_pictures_in_colour_hatch_what_is_not_valid():
     quads = np.ones((3, 4, 2, 2), np.float32)
     valid = np.array([[True, False], [True, True]])
-    image = pdavis_cv.PolarFrame.of_colours(quads, valid=valid)
+    image = adopted_colours(quads, valid=valid)
     picture = render.colour_bgr(image, 4.0, (0.5, 1.0, 2.0))
     assert picture[0, 0].tolist() == [255, 128, 64]
     assert picture[0, 1].tolist() == list(render.INVALID[0]) or (

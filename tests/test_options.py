@@ -123,7 +123,7 @@ def test_options_are_frozen_and_pickle():
     again = pickle.loads(pickle.dumps(options.replace(hold="mid")))
     assert (again.roi, again.layout) == ((0, 0, 4, 2), Layout.SONY)
     assert again.parameters["hold"] == "mid"
-    np.testing.assert_array_equal(again.times, [1, 5])
+    np.testing.assert_array_equal(again.times_us, [1, 5])
 
 
 @pytest.mark.parametrize(("changes", "error", "message"), [

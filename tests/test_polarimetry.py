@@ -8,6 +8,7 @@ from images import DTYPES, LAYOUTS, apart, malus, random_mosaic, sample, scene
 
 import pdavis_cv
 from pdavis_cv import CHANNELS, Analyser, Layout, PolarFrame, debias_dolp, render
+from pdavis_cv.polarimetry import adopted
 
 POLARIZERS = np.deg2rad(np.array(CHANNELS, float)).reshape(4, 1, 1)
 
@@ -183,11 +184,11 @@ def test_a_frame_survives_changes_of_what_it_was_made_from():
 
 def test_adopt_takes_the_array_itself():
     quad = np.ones((4, 2, 2), np.float32)
-    frame = PolarFrame.adopt(quad, t_us=5)
+    frame = adopted(quad, t_us=5)
     assert frame.quad is quad
     assert not quad.flags.writeable
     with pytest.raises(TypeError, match="quad must be C-contiguous float32"):
-        PolarFrame.adopt(np.ones((4, 2, 2)))
+        adopted(np.ones((4, 2, 2)))
 
 
 def test_valid_needs_light():

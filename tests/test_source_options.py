@@ -10,6 +10,7 @@ from test_aedat4_writer import small
 
 import pdavis_cv
 from pdavis_cv import Layout, Limits, Sensor, VideoCapture, open_recording, open_source
+from pdavis_cv.live.base import restated
 from pdavis_cv.recording.facts import Fact
 from pdavis_cv.recording.hdf5.writer import write_hdf5
 from pdavis_cv.recording.options import SourceOptions
@@ -131,9 +132,9 @@ def test_an_assumed_size_is_said_to_be_assumed(tmp_path):
 
 def test_a_chip_of_the_file_is_not_another_sensor_s():
     info = dataclasses.replace(small().info, sensor=Sensor.DAVIS346)
-    assert info.restated(SourceOptions(layout="sony")).sensor is Sensor.DAVIS346
-    assert info.restated(SourceOptions(layout="pdavis")).sensor is Sensor.PDAVIS
-    assert info.restated(SourceOptions(sensor="sony")).sensor is Sensor.SONY
+    assert restated(info, SourceOptions(layout="sony")).sensor is Sensor.DAVIS346
+    assert restated(info, SourceOptions(layout="pdavis")).sensor is Sensor.PDAVIS
+    assert restated(info, SourceOptions(sensor="sony")).sensor is Sensor.SONY
 
 
 def test_no_extinction_ratio_is_corrected_that_nobody_stated(file):

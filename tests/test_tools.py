@@ -17,6 +17,7 @@ from streams import random_events
 import pdavis_cv
 from pdavis_cv import render
 from pdavis_cv.data import example_recording
+from pdavis_cv.polarimetry import retimed
 from pdavis_cv.tools import _common, _progress, demo, export
 from pdavis_cv.tools.main import COMMANDS, main
 
@@ -327,8 +328,8 @@ def test_a_title_that_grows_leaves_the_size_of_a_video(tmp_path):
     with pdavis_cv.open_recording(SAMPLE, layout="pdavis") as recording:
         image = next(pdavis_cv.fuse(recording, method="frames"))
         sheet = export.Sheet(args, recording, image)
-        shapes = {sheet.picture(image.retimed(
-            sheet.origin_us + seconds * 1_000_000, None, image.provenance)).shape
+        shapes = {sheet.picture(retimed(
+            image, sheet.origin_us + seconds * 1_000_000, None, image.provenance)).shape
             for seconds in (1, 9, 10, 1234)}
     assert len(shapes) == 1
 

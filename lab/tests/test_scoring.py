@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from lab.scoring import Scorer
-from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.polarimetry import adopted
 from pdavis_cv.simulation import Fan, RotatingPolarizer, Truth
 
 
@@ -12,7 +12,7 @@ def image(aop, dolp, *, t_us=0, shape=(3, 4), s0=10.0, variance=None, valid=None
     aop, dolp = np.broadcast_to(aop, shape), np.broadcast_to(dolp, shape)
     quad = np.array([s0 * (1 + dolp * np.cos(2 * (aop - a))) / 2
                      for a in np.deg2rad((0, 45, 90, 135))], np.float32)
-    return PolarFrame.adopt(
+    return adopted(
         quad, valid=np.ones(shape, np.bool_) if valid is None else valid, t_us=t_us,
         frame_us=None, extinction_ratio=None, analyser=None,
         variance=None if variance is None else np.full_like(quad, variance),
@@ -61,7 +61,7 @@ def test_honest_sigmas_cover_two_thirds():
     for t in range(0, 100_000, 10_000):
         frame = image(known.aop(t), 0.6, t_us=t, shape=shape)
         noisy = frame.quad * np.exp(sigma * rng.standard_normal((4, *shape)))
-        scorer.add(PolarFrame.adopt(
+        scorer.add(adopted(
             noisy.astype(np.float32), valid=np.ones(shape, np.bool_), t_us=t,
             frame_us=None, extinction_ratio=None, analyser=None,
             variance=np.full((4, *shape), sigma**2, np.float32), provenance={}))
@@ -75,7 +75,7 @@ def test_a_value_that_is_not_finite_counts_as_a_guess():
     quad = frame.quad.copy()
     quad[:, :, 0] = np.inf
     with np.errstate(invalid="ignore"):
-        scorer.add(PolarFrame.adopt(
+        scorer.add(adopted(
             quad, valid=np.ones((3, 4), np.bool_), t_us=0, frame_us=None,
             extinction_ratio=None, analyser=None, variance=None, provenance={}))
     assert scorer.score.aop_error == pytest.approx(np.pi / 16, abs=1e-5)

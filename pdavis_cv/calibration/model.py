@@ -148,11 +148,6 @@ class Calibration:
         return plane
 
     @property
-    def identity(self) -> tuple[str | None, str | None, tuple[int, int]]:
-        """(serial or None, chip class, size)."""
-        return self.serial, self.chip, self.sensor_size
-
-    @property
     def parts(self) -> tuple[str, ...]:
         """Names of the fields that are set."""
         return tuple(name for name in ("layout", *_PLANES, *_NUMBERS)

@@ -39,8 +39,7 @@ class LiveCursor:
     @property
     def fps(self) -> float:
         """Images per second of the stream."""
-        rate = self.session.options.rate
-        return 0.0 if rate is None else float(rate)
+        return float(self.session.options.fps or 0.0)
 
     def advance(self) -> bool:
         """Wait for the next image; return False at the end of the stream.

@@ -125,7 +125,8 @@ class Fusion(Advises):
             self.window, roi, self.layout, options.demosaic, ratio,
             options.calibration, sensor, self._workers)
         self.shape = self._images.shape
-        self._fps, self._times = options.rate, options.times
+        self._fps = None if options.fps is None else Fraction(options.fps)
+        self._times = None if options.times_us is None else np.asarray(options.times_us)
         if self._fps is None and self._times is None and info.frame_count == 0:
             self._fps = Fraction(100)
         self._grid_start = options.start_us
@@ -139,7 +140,8 @@ class Fusion(Advises):
             "clock_offset_us": self._clock_us,
             "causal": options.causal, "layout": str(self.layout),
             "extinction_ratio": ratio, "demosaic": options.demosaic, "roi": roi,
-            "calibration": options.calibration and options.calibration.identity,
+            "calibration": (known := options.calibration) and (
+                known.serial, known.chip, known.sensor_size),
             "source": str(recording.path) if recording.path else info.format,
             "assumed": assumptions(facts_used(
                 recording, options, self.layout, sensor, self._learning.thresholds

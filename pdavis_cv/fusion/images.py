@@ -22,7 +22,7 @@ from pdavis_cv.mosaic import (
     places_of,
     scratch_rows,
 )
-from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.polarimetry import PolarFrame, adopted, adopted_colours, retimed
 from pdavis_cv.reconstruct.base import Estimate, Reconstructor
 from pdavis_cv.sensor import Layout, Sensor
 
@@ -90,7 +90,7 @@ class ImageMaker:
         """
         shown = method.shows(t_us)
         if shown is not None and self._last is not None and self._last[0] is shown:
-            return self._last[1].retimed(t_us, frame_us, provenance)
+            return retimed(self._last[1], t_us, frame_us, provenance)
         read, quality = method.begin_read(t_us), method.quality
 
         def made() -> PolarFrame:
@@ -113,13 +113,13 @@ class ImageMaker:
         about |= {"valid": self._valid(estimate.valid),
                   "extinction_ratio": self._ratio, "quality": self._quality(quality)}
         if self._layout.colours:
-            return PolarFrame.of_colours(self._cropped(demosaic_mosaic(
+            return adopted_colours(self._cropped(demosaic_mosaic(
                 intensity, self._layout, self._demosaic, valid=estimate.valid)),
                 **about)
         if estimate.variance is not None and self._whole:
             return self._in_one_pass(intensity, estimate.variance, about)
         quad, variance = self._channels(intensity, estimate.variance, estimate.valid)
-        return PolarFrame.adopt(
+        return adopted(
             quad, analyser=self._analyser, variance=variance,
             reconciled=variance is not None, **about)
 
@@ -141,7 +141,7 @@ class ImageMaker:
 
         self._workers.rows(len(intensity), work,
                            row_ns=_BILINEAR_NS * intensity.shape[1])
-        return PolarFrame.adopt(
+        return adopted(
             quad, analyser=self._analyser, variance=variance, reconciled=True,
             aop_dolp=(aop, dolp) if polarizes else None, **about)
 

@@ -9,7 +9,6 @@ import math
 import operator
 from collections.abc import Mapping
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -196,16 +195,6 @@ class FusionOptions(Options):
         put("clock_offset_us", _checked_offset(self.clock_offset_us))
         put("denoise", _checked_denoise(self.denoise))
 
-    @property
-    def times(self) -> NDArray[np.int64] | None:
-        """Times of the images in us, None for a grid."""
-        return None if self.times_us is None else np.asarray(self.times_us, np.int64)
-
-    @property
-    def rate(self) -> Fraction | None:
-        """Images per second as an exact fraction, None if not given."""
-        return None if self.fps is None else Fraction(self.fps)
-
 
 class FusionKeywords(MethodKeywords, total=False):
     """The fields of FusionOptions as keywords, for type checkers and editors.
@@ -287,8 +276,9 @@ def check_times_fit(options: FusionOptions, info: RecordingInfo) -> None:
     span = info.stop_us - info.start_us
     given = [(name, value, value) for name in ("start_us", "stop_us")
              if (value := getattr(options, name)) is not None]
-    if options.times is not None and len(options.times):
-        given.append(("times_us", int(options.times[0]), int(options.times[-1])))
+    if options.times_us is not None and np.size(options.times_us):
+        times = np.asarray(options.times_us)
+        given.append(("times_us", int(times[0]), int(times[-1])))
     for name, first, last in given:
         late = first > info.stop_us + span and name != "stop_us"
         if last < info.start_us - span or late:

@@ -20,7 +20,7 @@ from pdavis_cv.fusion.grid import grid_count, grid_us
 from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.fusion.turning_speed import found_segments
 from pdavis_cv.fusion.window import Window, checked_roi
-from pdavis_cv.polarimetry import PolarFrame
+from pdavis_cv.polarimetry import PolarFrame, adopted
 from pdavis_cv.reconstruct.turning import TurningRegression
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
 from pdavis_cv.turning import PulseClock, TurningAnalyser
@@ -65,7 +65,7 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
         x, y, w, h = checked_roi(options.roi, size, "bilinear")
         self._window = Window(slice(y, y + h), slice(x, x + w), size)
         self.shape = h, w
-        self._fps = options.rate or Fraction(100)
+        self._fps = Fraction(options.fps or 100)
         ratio = options.extinction_ratio
         self._ratio = None if isinstance(ratio, str) or ratio is None else float(ratio)
         assumed = []
@@ -89,8 +89,8 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
 
     def __len__(self) -> int:
         """Return the number of all images, if options and the file's header tell it."""
-        if self._options.times is not None:
-            return len(self._options.times)
+        if self._options.times_us is not None:
+            return np.size(self._options.times_us)
         start, stop = self._options.start_us, self._recording.info.stop_us
         start = self._recording.info.start_us if start is None else start
         if start is None or stop is None:
@@ -116,14 +116,14 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
                     frame_us = item.mid_us
                     method.add_frame(self._window.frame(item))
             found = method.polarization(t)
-            yield PolarFrame.adopt(
+            yield adopted(
                 found.quad, valid=found.valid, t_us=t, frame_us=frame_us,
                 extinction_ratio=self._ratio, sigmas=found.sigmas,
                 provenance=self.provenance)
 
     def _times(self, feed: Feed) -> Iterator[int]:
-        if self._options.times is not None:
-            yield from map(int, self._options.times)
+        if self._options.times_us is not None:
+            yield from map(int, np.asarray(self._options.times_us))
             return
         first, start = feed.first_us(), self._options.start_us
         start = first if start is None else start

@@ -11,6 +11,7 @@ from typing import Any
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.live.clock import in_order
 from pdavis_cv.recording.base import Packet, Problem, Recording, RecordingInfo, Source
+from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.options import SourceOptions
 
@@ -53,6 +54,13 @@ def endless(info: RecordingInfo) -> RecordingInfo:
         f"{kind}_count": 0 if getattr(info, f"{kind}_count") == 0 else None
         for kind in ("event", "frame", "imu", "trigger")}
     return dataclasses.replace(info, start_us=None, stop_us=None, **counts)
+
+
+def restated(info: RecordingInfo, options: SourceOptions) -> RecordingInfo:
+    """Return the info with what a caller states in place of what is known."""
+    known = {name: fact for name, fact in info.facts.items()
+             if name != "extinction_ratio"}
+    return dataclasses.replace(info, **stated(options, None, **known))
 
 
 class LiveSource(Source):
@@ -101,7 +109,7 @@ class LiveSource(Source):
 
     def state(self, options: SourceOptions) -> None:
         """Note what the caller states about the source."""
-        self._info = self._info.restated(options)
+        self._info = restated(self._info, options)
 
     @property
     def problems(self) -> Sequence[Problem]:

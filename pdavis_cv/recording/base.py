@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv._advice import Advises
 from pdavis_cv._checks import whole_number
 from pdavis_cv.events import EVENT_DTYPE, FAR, checked_time
-from pdavis_cv.recording.facts import FILE, Fact, stated
+from pdavis_cv.recording.facts import FILE, Fact
 from pdavis_cv.recording.members import Member, members_of
-from pdavis_cv.recording.options import MOST_DN, SourceOptions
+from pdavis_cv.recording.options import MOST_DN
 from pdavis_cv.sensor import Layout, Sensor
 
 MAX_PACKET_EVENTS, MAX_PACKET_US = 65_536, 10_000
@@ -368,12 +368,6 @@ class RecordingInfo(Advises):
         origins = {"extinction_ratio": self.origins.get("sensor", FILE), **self.origins}
         return {name: Fact(value, origins.get(name, FILE)) for name in _FACTS
                 if (value := getattr(self, name)) is not None}
-
-    def restated(self, options: SourceOptions) -> RecordingInfo:
-        """Return the info with what a caller states in place of what is known here."""
-        known = {name: fact for name, fact in self.facts.items()
-                 if name != "extinction_ratio"}
-        return dataclasses.replace(self, **stated(options, None, **known))
 
     def __reduce__(self) -> tuple[Any, ...]:
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}

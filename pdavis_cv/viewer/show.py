@@ -81,13 +81,13 @@ class Show(ABC):
         """Return the status that the page shows besides pictures, as JSON values."""
         fusion = self.fusion
         height, width = fusion.shape
-        rate = fusion.options.rate
+        fps = fusion.options.fps
         provenance = fusion.provenance
         return {"live": self.live, "name": self.name, "method": fusion.method,
                 "methods": list(METHODS), "width": width, "height": height,
                 "roi": provenance["roi"],
                 "step": 2 if provenance["demosaic"] in HALF_SIZE else 1,
-                "fps": None if rate is None else float(rate), **self._own_status()}
+                "fps": None if fps is None else float(fps), **self._own_status()}
 
     def command(self, name: str, value: Any) -> None:
         """Execute a page's command, one of `commands`, with a value from JSON.
@@ -163,7 +163,7 @@ class LiveShow(Show):
     @property
     def period_us(self) -> int:
         """Interval of an image, of which events are still kept."""
-        return min(round(1e6 / float(self.fusion.options.rate or DEFAULT_FPS)),
+        return min(round(1e6 / float(self.fusion.options.fps or DEFAULT_FPS)),
                    KEPT_EVENTS_US)
 
     def events(self, until_us: int) -> Events:
