@@ -443,6 +443,13 @@ def test_light_that_is_not_modulated_has_no_speed():
         found_segments(recording)
 
 
+def test_a_camera_that_is_moved_by_hand_shows_no_turning_analyser(data_dir):
+    with pdavis_cv.open_recording(data_dir / "davis346.aedat4") as recording:
+        assert found_hz(recording) is None
+        with pytest.raises(ValueError, match="must show a modulation"):
+            found_segments(recording)
+
+
 @pytest.mark.parametrize(("hz", "drift", "ramp"), [
     pytest.param(5, 0.02, 0, marks=pytest.mark.gate), (60, 0.02, 0),
     pytest.param(20, -0.02, 0, marks=pytest.mark.gate), (20, 0.02, 3)])
