@@ -24,23 +24,12 @@ class Place:
     """The place of an output: a file, or a pipe or device that takes its bytes.
 
     A symbolic link is followed: the file that it names is replaced, the link stays.
-    What is neither a file, a pipe nor a character device is not written to: a disk or
-    socket would be replaced by a file.
+    What is neither a file, a pipe nor a character device is not written to, an OSError:
+    a disk or socket would be replaced by a file.
 
-    Attributes
-    ----------
-    path : Path
-        As given.
-    takes_bytes : bool
-        Whether it is a pipe or device.
-    beside : Path
-        Path of the output in a folder for temporary files: the file's own folder, or
-        for a pipe or device a new one, as nothing can be renamed to it.
-
-    Raises
-    ------
-    OSError
-        If it is a folder, a block device or a socket, or cannot be examined.
+    `path` is as given; `takes_bytes` tells a pipe or device; `beside` is the path of
+    the output in a folder for temporary files: the file's own folder, or for a pipe or
+    device a new one, as nothing can be renamed to it.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -113,19 +102,11 @@ def sole(file: BinaryIO, path: Path) -> None:
 
 
 class Unfinished:
-    """A file that is written under a temporary name and then renamed.
+    """A file that is written under a temporary name, `part`, and then renamed.
 
-    Parameters
-    ----------
-    path : path
-        Final name; see `Place`.  A file that is there stays as it is until `finish`.
-    suffix : str, optional
-        Suffix of the name to write to, for a writer that needs it; default: `path`'s.
-
-    Attributes
-    ----------
-    part : Path
-        Name to write to, in the same folder; nobody can guess it, so no link is there.
+    The part lies in the same folder; nobody can guess its name, so no link is there.  A
+    file of the final name, `path`, stays as it is until `finish`; see `Place`.  A
+    writer that needs a suffix of the part gives it; by default it is that of `path`.
     """
 
     def __init__(

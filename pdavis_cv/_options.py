@@ -52,10 +52,7 @@ def option(
 class Options:
     """Base of the lists: checked once, frozen, picklable.
 
-    Parameters
-    ----------
-    parameters : mapping of str to object
-        Parameters of the method, or of the format, that have no field.
+    `parameters` are those of the method, or of the format, that have no field.
     """
 
     parameters: Parameters = dataclasses.field(default_factory=dict)

@@ -30,13 +30,8 @@ class Begun(Generic[Result]):
     """Work that a thread of the pool does, or who asks for its result.
 
     Work that no thread has begun when the result is asked for is done then: so nobody
-    waits for a thread that is busy with something else.
-
-    Parameters
-    ----------
-    work : callable
-        It may be done twice, as a forked child has none of its parent's threads.
-    pool : concurrent.futures.ThreadPoolExecutor
+    waits for a thread that is busy with something else.  It may be done twice, as a
+    forked child has none of its parent's threads.
     """
 
     def __init__(self, work: Callable[[], Result], pool: ThreadPoolExecutor) -> None:
@@ -59,16 +54,11 @@ class Begun(Generic[Result]):
 
 
 class Workers:
-    """Threads that do the parts of an image's work at the same time.
+    """Threads that do the parts of an image's work at the same time; of 1, the caller.
 
     This is faster because kernels release the GIL.  The work must give the same result
     however rows are grouped into bands, so that it does not depend on the number of
     threads.
-
-    Parameters
-    ----------
-    threads : int
-        1 = the calling thread only.
     """
 
     def __init__(self, threads: int = 1) -> None:

@@ -133,20 +133,11 @@ class TurningAnalyser:
 
 
 class PulseClock:
-    """The angle of an analyser from its pulses as they come.
+    """The angle of an analyser with `triggers` from its pulses as they come.
 
     A pulse that comes too early is left out, and one that is missing is counted, so
-    that neither has an effect beyond its turn.
-
-    Parameters
-    ----------
-    analyser : TurningAnalyser
-        With `triggers`.
-
-    Attributes
-    ----------
-    kept : list of (float, float)
-        Time of each pulse that fits, us, and twice the angle then.
+    that neither has an effect beyond its turn.  `kept` has the time of each pulse that
+    fits, us, and twice the angle then.
     """
 
     def __init__(self, analyser: TurningAnalyser) -> None:

@@ -19,14 +19,8 @@ from ._common import can_draw
 class Page:
     """The content of a report.
 
-    Parameters
-    ----------
-    title : str
-        Headline.
-    lines : list of str
-        ``"what: value"``, printed and stored in the calibration's notes.
-    figures : list of tuple
-        (kind, title, data).
+    `lines` are ``"what: value"``, printed and stored in the calibration's notes;
+    `figures` (kind, title, data).
     """
 
     title: str

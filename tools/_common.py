@@ -65,17 +65,7 @@ class OneLineParser(argparse.ArgumentParser):
 
 
 class Parser(OneLineParser):
-    """The parser of a subcommand.
-
-    Parameters
-    ----------
-    name : str
-        Name of the subcommand.
-    description : str
-        Description, shown by ``--help``.
-    example : str
-        An example command line, shown by ``--help``.
-    """
+    """The parser of a subcommand; ``--help`` shows description and example."""
 
     def __init__(self, name: str, description: str, example: str) -> None:
         super().__init__(

@@ -280,14 +280,8 @@ def _ranges(args: argparse.Namespace) -> dict[str, tuple[float, float]]:
 class Sheet:
     """The appearance of an export's images, fixed when it starts.
 
-    Parameters
-    ----------
-    args : Namespace
-        Options of the command line.
-    recording : Recording
-        Determines the name and the zero of time in the title.
-    first : PolarFrame
-        First image, which determines the white of intensities unless --white is given.
+    The recording determines the name and the zero of time in the title, the first image
+    the white of intensities unless --white is given.
     """
 
     def __init__(

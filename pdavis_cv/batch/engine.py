@@ -174,13 +174,10 @@ def _planned(
 
 @dataclass(eq=False)
 class _Attempt:
-    """An attempt at a job.
+    """An attempt at a job, `alone` if no other job may run at the same time.
 
-    Attributes
-    ----------
-    alone : bool
-        Whether no other job may run at the same time.  That is so after a process died
-        while this job was submitted: it shows whether this job was the cause.
+    That is so after a process died while this job was submitted: it shows whether this
+    job was the cause.
     """
 
     job: Job
@@ -192,22 +189,9 @@ class _Attempt:
 class _Batch:
     """Submit jobs, collect their rows, and resubmit those that have to be repeated.
 
-    Parameters
-    ----------
-    results : Results
-    make : callable
-        Makes a Pool.
-    retries : int
-    timeout_s : float or None
-    bar : tqdm
-        Shows how many jobs have ended.
-
-    Attributes
-    ----------
-    names : list of str
-        Names of the jobs so far, in order.
-    unwritten : dict of str to Row
-        Rows whose marker could not be written, by name of the job.
+    `make` makes a Pool; the bar shows how many jobs have ended.  `names` are those of
+    the jobs so far, in order; `unwritten` the rows whose marker could not be written,
+    by name of the job.
     """
 
     def __init__(

@@ -17,15 +17,9 @@ _UNKNOWN = 32
 
 @dataclass(frozen=True)
 class Pool:
-    """A running executor.
+    """A running executor, which runs so many jobs at a time.
 
-    Parameters
-    ----------
-    executor : Executor
-    workers : int
-        Number of jobs that it runs at a time.
-    close : callable
-        Shuts it down; called with True to stop running jobs as well.
+    `close` shuts it down; called with True, it stops running jobs as well.
     """
 
     executor: Executor

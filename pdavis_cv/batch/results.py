@@ -51,11 +51,6 @@ class Results:
     For each job it holds ``NAME/``, the files that its work wrote, and ``NAME.json``,
     the marker, with the row of the table and its provenance.  Both appear when they are
     complete, the marker last.  Unfinished files are in ``.batch/``.
-
-    Parameters
-    ----------
-    out : path
-        Created if it does not exist.
     """
 
     def __init__(self, out: str | os.PathLike[str]) -> None:

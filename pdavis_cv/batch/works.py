@@ -34,13 +34,7 @@ _PICTURE = "preview.png"
 
 @dataclass(frozen=True, kw_only=True)
 class _Part:
-    """The interval of a recording that a work uses.
-
-    Parameters
-    ----------
-    start_s, stop_s : float, optional
-        Seconds after the recording's first sample, half-open; default all.
-    """
+    """The interval of a recording that a work uses: seconds after its first sample."""
 
     start_s: float | None = None
     stop_s: float | None = None

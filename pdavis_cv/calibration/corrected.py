@@ -60,16 +60,8 @@ class FrameCorrection:
     Pixels at the converter's full scale are always saturated.  Without a calibrated
     clip level, the level is estimated from the peak at the upper end of the histograms
     of all frames so far, so that a pixel does not become valid because fewer others are
-    saturated.  A still image is a stream of one frame.
-
-    Parameters
-    ----------
-    known : Calibration or None
-
-    Attributes
-    ----------
-    clipping : Clipping
-        The estimate after the frames so far; may be set to an earlier one.
+    saturated.  That estimate, `clipping`, may be set to an earlier one.  A still image
+    is a stream of one frame.
     """
 
     def __init__(self, known: Calibration | None) -> None:

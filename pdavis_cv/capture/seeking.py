@@ -25,11 +25,7 @@ MOST_BYTES = 256 * 2**20
 class Bookmark:
     """A position between two images to which a Cursor can return; picklable.
 
-    Parameters
-    ----------
-    snapshot : FusionSnapshot
-    previous_us : int or None
-        Time of the image before the last one.
+    `previous_us` is the time of the image before the last one.
     """
 
     snapshot: FusionSnapshot
@@ -45,15 +41,8 @@ class Cursor:
     of recording time.  At most 64 snapshots of at most 256 MiB together are kept;
     beyond that every second one is dropped and the interval doubles.
 
-    Parameters
-    ----------
-    fusion : Fusion
-        Of a Recording, at its beginning; from now on only the Cursor may use it.
-
-    Raises
-    ------
-    TypeError
-        If the fusion's source can be read only once.
+    The fusion is of a Recording, at its beginning; from now on only the Cursor may use
+    it.
     """
 
     fusion: Fusion

@@ -12,12 +12,8 @@ from pdavis_cv.polarimetry import PolarFrame
 class LiveCursor:
     """The images of a live session; the counterpart of `Cursor` for files.
 
-    Parameters
-    ----------
-    session : live.Session
-        From now on only the cursor may use it.
-    timeout_s : float
-        Longest time to wait for an image, seconds.
+    From now on only the cursor may use the session; `timeout_s` is the longest time to
+    wait for an image, s.
     """
 
     count = -1

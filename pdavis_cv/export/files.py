@@ -20,11 +20,7 @@ class SeriesFile(ABC):
     """Base of files that are written image by image in a ``with`` block.
 
     The file is completed at the end of the block; after an error it is removed.
-
-    Attributes
-    ----------
-    _stack : ExitStack
-        Holds what has to be closed, `write_beside` first.
+    `_stack` holds what has to be closed, `write_beside` first.
     """
 
     _stack: contextlib.ExitStack

@@ -32,18 +32,7 @@ def h264_encoder() -> str | None:
 class H264Writer:
     """Write an MP4 file with the methods of ``cv2.VideoWriter``.
 
-    Parameters
-    ----------
-    path : path
-    fps : float
-        Pictures per second.
-    size : (int, int)
-        (width, height), both even, as 4:2:0 needs.
-
-    Raises
-    ------
-    OSError
-        Here or later, if the file cannot be written.
+    The size is (width, height), both even, as 4:2:0 needs.
     """
 
     def __init__(

@@ -87,12 +87,7 @@ a gain of .7.  True scales beyond a third have a fall of .14 and a gain of 2.4 a
 class RatioSpread(NamedTuple):
     """Spread of ln(theta_on / theta_off) over the pixels, relative to the prior's.
 
-    Parameters
-    ----------
-    sigma : float
-        Standard deviation.
-    error : float
-        Standard error of sigma^2.
+    `sigma` is its standard deviation, `error` the standard error of sigma^2.
     """
 
     sigma: float
@@ -258,12 +253,8 @@ def _vertex(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
 class _Misfit:
     """Mean ln of the misfit of each macropixel, as a function of ln of the scale.
 
-    Parameters
-    ----------
-    events : ndarray of EVENT_DTYPE, shape (N,)
-        Events of macropixels that lie side by side, in order of time.
-    on, off : ndarray of float64, shape (2, 2 n)
-        Nominal thresholds.
+    Of events of macropixels that lie side by side, in order of time, and of nominal
+    thresholds, (2, 2 n).
     """
 
     def __init__(

@@ -33,22 +33,10 @@ _BILINEAR_NS = 1.4
 class ImageMaker:
     """Demosaic the estimate for a window and make a PolarFrame of it.
 
-    Parameters
-    ----------
-    window : Window
-    roi : (int, int, int, int)
-        The region that is the image, (x, y, width, height) on the sensor.
-    layout : Layout
-        Layout of the whole sensor.
-    demosaic : str
-        One of ``DEMOSAIC_METHODS``.
-    extinction_ratio : float or None
-        Contrast that S1 and S2 are corrected for, where there is no analyser matrix.
-    calibration : Calibration or None
-    sensor : Sensor or None
-        Gives the spread of the polarizers; default `Sensor.PDAVIS`.
-    workers : Workers
-        Threads that share the rows.
+    The image is the region `roi` (x, y, width, height) on the sensor, whose layout is
+    given.  S1 and S2 are corrected for the extinction ratio, where the calibration has
+    no analyser matrix.  The sensor, by default `Sensor.PDAVIS`, gives the spread of the
+    polarizers.
     """
 
     def __init__(

@@ -104,12 +104,8 @@ class ReadAhead(Advises, Iterator[PolarFrame]):
     """Iterate over a Fusion's images, which are the same, read ahead.
 
     The calling thread brings the state to the time of the next image and reads it.
-    Meanwhile another one makes the images before, angle and degree included.
-
-    Parameters
-    ----------
-    fusion : Fusion
-        Of a source that need not be shown without delay, with at least two threads.
+    Meanwhile another one makes the images before, angle and degree included.  The
+    fusion has at least two threads, and a source that need not be shown without delay.
     """
 
     def __init__(self, fusion: Fusion) -> None:

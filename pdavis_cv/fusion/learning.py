@@ -78,14 +78,9 @@ class Learned:
 class LearnedCamera:
     """A camera as a recording shows it.
 
-    Parameters
-    ----------
-    pixels : LearnedPixels
-        What all pixels have in common; its ``sigmas`` are empty if nothing was told.
-    thetas : ndarray of float64, shape (2, H, W)
-        Contrast thresholds of each pixel, ON and OFF, natural-log units.
-    covariance : ndarray of float64, shape (H, W, 2, 2)
-        Their covariance, with what is common to all.
+    `pixels` is what all have in common; its ``sigmas`` are empty if nothing was told.
+    `thetas`, float64 (2, H, W), are the contrast thresholds of each pixel, ON and OFF,
+    natural-log units; `covariance`, (H, W, 2, 2), includes what is common to all.
     """
 
     pixels: LearnedPixels
@@ -109,23 +104,8 @@ class LearnedCamera:
 class Learning:
     """Which parameters of a method are estimated, and how an estimate is applied.
 
-    Parameters
-    ----------
-    source : Source
-        The stream to reconstruct.
-    options : FusionOptions
-        Options of the fusion.
-    parameters : mapping of str to object
-        Parameters of the method that the caller states.
-    needs : Needs
-        Inputs that the method needs.
-    lookahead_us : int or None
-        That of the method.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If thresholds are requested that are not available.
+    `parameters` are those of the method that the caller states.  If thresholds are
+    requested that are not available, that is an error.
     """
 
     def __init__(

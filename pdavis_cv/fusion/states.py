@@ -31,13 +31,8 @@ costs as much as a thousand events."""
 class _MethodState:
     """A method, the window that it computes, and the sample to learn from.
 
-    Parameters
-    ----------
-    method : Reconstructor
-        A method for the size of the window.
-    window : Window
-    sample : PixelSample, optional
-        Is fed the same events and frames, of the whole sensor.
+    The method is for the size of the window; the sample is fed the same events and
+    frames, of the whole sensor.
     """
 
     def __init__(
@@ -68,16 +63,7 @@ class _MethodState:
 
 
 class InOrderState(_MethodState):
-    """A method that is fed in time order, each frame at its mid-exposure.
-
-    Parameters
-    ----------
-    method : Reconstructor
-        A method for the size of the window.
-    window : Window
-    sample : PixelSample, optional
-        Is fed the same events and frames, of the whole sensor.
-    """
+    """A method that is fed in time order, each frame at its mid-exposure."""
 
     def add_events(self, events: Events) -> None:
         """Add events of the whole sensor."""
@@ -118,14 +104,6 @@ class ArrivalState(_MethodState):
 
     Only the sample to learn from is fed in time order: the events since the last
     frame's mid-exposure are kept, and passed to it when the next frame has arrived.
-
-    Parameters
-    ----------
-    method : Reconstructor
-        A method for the size of the window that `takes_late_frames`.
-    window : Window
-    sample : PixelSample, optional
-        Is fed the same events and frames, of the whole sensor, in time order.
 
     Attributes
     ----------
@@ -228,18 +206,11 @@ class ArrivalState(_MethodState):
 class ReplayState(ArrivalState):
     """A method that takes frames in time order only, fed in the order of arrival.
 
-    It needs two states.  The committed one stays at the last frame's mid-exposure.
-    When a frame arrives, it is advanced to that frame's mid-exposure and takes the
-    frame.  The current one is then made from it by replaying the events since.  So the
-    current state depends on the committed state, the parameters and the events since,
-    and on nothing else.
-
-    Parameters
-    ----------
-    method, committed : Reconstructor
-        The two states, equal to each other.
-    window, sample
-        As for `ArrivalState`.
+    It needs two equal states.  The committed one stays at the last frame's
+    mid-exposure.  When a frame arrives, it is advanced to that frame's mid-exposure and
+    takes the frame.  The current one is then made from it by replaying the events
+    since.  So the current state depends on the committed state, the parameters and the
+    events since, and on nothing else.
     """
 
     _keeps_events = True

@@ -36,16 +36,8 @@ _LEARN_HALF_TURNS, _LEARN_EVENTS = 128, 4_000_000
 class TurningFusion(Advises, Iterator[PolarFrame]):
     """Iterate over the images that `fuse` makes with ``analyser=TurningAnalyser()``.
 
-    Parameters
-    ----------
-    recording : Source
-    options : FusionOptions
-        With `analyser`; parameters are those of `TurningRegression`.
-
-    Attributes
-    ----------
-    provenance : mapping of str to object
-        Software, options and parameters that make the images.
+    Parameters are those of `TurningRegression`; `provenance` has software, options and
+    parameters that make the images.
     """
 
     def __init__(self, recording: Source, options: FusionOptions) -> None:

@@ -19,12 +19,8 @@ Roi = tuple[int, int, int, int]
 class Window:
     """The rows and columns of a sensor that are computed: whole polarizer cells.
 
-    Parameters
-    ----------
-    rows, columns : slice
-        Both with a start and a stop.
-    size : (int, int)
-        (height, width) of the sensor.
+    Both slices have a start and a stop; the size is that of the sensor, (height,
+    width).
     """
 
     rows: slice

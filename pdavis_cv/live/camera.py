@@ -69,23 +69,9 @@ class Davis346:
     """A DAVIS346 camera, which gives the words that it sends.
 
     The background-activity filter, which the driver switches on by default, is off: it
-    compares a pixel with its neighbours, which lie behind other polarizers.
-
-    Parameters
-    ----------
-    serial : str, optional
-        Serial number; default: the first camera found.
-    settings : mapping of str to int
-        Values of `SETTINGS`; the driver's defaults hold for the others.
-
-    Raises
-    ------
-    ImportError
-        If the driver is not installed.
-    DeviceError
-        If there is no such camera, or it cannot be opened.
-    ValueError
-        If a setting is unknown or out of range.
+    compares a pixel with its neighbours, which lie behind other polarizers.  Without a
+    serial number, it is the first camera found; for other `SETTINGS` than the given
+    ones, the driver's defaults hold.
     """
 
     def __init__(self, serial: str | None, settings: Mapping[str, int]) -> None:

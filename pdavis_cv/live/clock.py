@@ -22,12 +22,7 @@ class HostClock:
 
     A packet arrives after it was sent, so the packet with the least delay measures the
     offset of the clocks best: the running minimum of host time minus device time.
-    Clocks drift, so only the last 10 to 20 s are used.
-
-    Parameters
-    ----------
-    window_s : float
-        Length of a window, s; the last two windows are used.
+    Clocks drift, so only the last two windows of `window_s`, 10 to 20 s, are used.
     """
 
     def __init__(self, window_s: float = WINDOW_S) -> None:

@@ -66,15 +66,7 @@ _Item = tuple[str, memoryview, str] | DeviceError | None
 
 
 class _Connection:
-    """One connection, whose packets are read in a thread of its own.
-
-    Parameters
-    ----------
-    link : socket
-        The connected socket.
-    name : str
-        Name for messages.
-    """
+    """One connection, whose packets are read in a thread of its own."""
 
     def __init__(self, link: socket.socket, name: str) -> None:
         self.link, self.name = link, name
@@ -127,21 +119,9 @@ class _Connection:
 class DvSource(LiveSource):
     """Source of the streams that DV sends: events, and frames on a second connection.
 
-    The connections are not synchronized.  A frame waits until events have reached the
-    end of its readout; a frame that arrives later than that is stamped as available
-    when it arrived.
-
-    Parameters
-    ----------
-    name : str
-        The address.
-    connections : list of socket
-        Closed with the source.
-
-    Raises
-    ------
-    DeviceError
-        If a connection does not send a DV stream.
+    The connections, which are closed with the source, are not synchronized.  A frame
+    waits until events have reached the end of its readout; a frame that arrives later
+    than that is stamped as available when it arrived.
     """
 
     def __init__(

@@ -18,19 +18,9 @@ every 33 ms."""
 
 
 class UsbSource(LiveSource):
-    """Decodes the words of a camera as they arrive.
+    """Decodes the words of a camera as they arrive; the camera is closed with it.
 
-    Parameters
-    ----------
-    device : Davis346
-        Closed with the source.
-    name : str
-        Name for messages.
-
-    Attributes
-    ----------
-    device : Davis346
-        The camera, whose `settings` can be changed while it runs.
+    The camera's `settings` can be changed while it runs.
     """
 
     def __init__(self, device: Davis346, name: str) -> None:

@@ -107,14 +107,8 @@ class _Inert:
 class _Unpickler(pickle.Unpickler):
     """Unpickle objects of the allowed names only.
 
-    Parameters
-    ----------
-    data : bytes
-        One pickle.
-    storage : callable
-        Returns a storage's numbers, given its persistent id without the first part.
-    path : str
-        The file, for messages.
+    `storage` returns a storage's numbers, given its persistent id without the first
+    part.
     """
 
     def __init__(self, data: bytes, storage: Callable[..., Array], path: str) -> None:

@@ -75,12 +75,9 @@ class Wave(NamedTuple):
 
 
 class Lamplight:
-    """The waves of the recent blocks, in the form that kernels take.
+    """The waves of the recent blocks of `BLOCK_US`, in the form that kernels take.
 
-    Attributes
-    ----------
-    waves : ndarray of WAVE_DTYPE, shape (blocks,)
-        One per block of `BLOCK_US`, in order; empty if the lamp is steady.
+    `waves` has one per block, in order; it is empty if the lamp is steady.
     """
 
     def __init__(self) -> None:

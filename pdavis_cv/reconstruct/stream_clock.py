@@ -17,15 +17,7 @@ NEVER = int(np.iinfo(np.int64).min)
 class StreamClock:
     """The time up to which a Reconstructor has been fed, and checks of its inputs.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        (height, width) of the sensor.
-
-    Attributes
-    ----------
-    last_us : int
-        Time of the last event or frame; `NEVER` before the first.
+    `last_us` is that of the last event or frame; `NEVER` before the first.
     """
 
     __slots__ = ("last_us", "shape")

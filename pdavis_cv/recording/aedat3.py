@@ -74,13 +74,8 @@ HORIZON_US = 500_000
 class Aedat3Recording(PiecewiseRecording):
     """A recording in AEDAT-3.1; see `open_recording`.
 
-    The format has no index: the first reading makes one, for those that follow.
-
-    Parameters
-    ----------
-    path : path
-    options : SourceOptions
-        Its ``camera`` must be part of the source's name if given.
+    The format has no index: the first reading makes one, for those that follow.  A
+    stated ``camera`` must be part of the source's name.
     """
 
     def _open(self, options: SourceOptions) -> RecordingInfo:

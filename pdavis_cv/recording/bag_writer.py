@@ -47,22 +47,9 @@ def _store() -> Any:
 class Bag:
     """Write messages of one camera to a ROS 2 bag, which appears when it is complete.
 
-    Topics are ``/pdavis/NAME``; the frame of all messages is ``pdavis``.
-
-    Parameters
-    ----------
-    path : path
-        ``.mcap`` or ``.db3`` (sqlite3) for a single file, otherwise a new folder, in
-        MCAP.
-    size : (int, int)
-        (height, width) of images and sensor.
-
-    Raises
-    ------
-    ImportError
-        If rosbags (extra ``[ros]``) is not installed.
-    OSError
-        If the folder exists.
+    Topics are ``/pdavis/NAME``; the frame of all messages is ``pdavis``.  A path in
+    ``.mcap`` or ``.db3`` (sqlite3) is a single file, another one a new folder, in MCAP.
+    The size, (height, width), is that of images and sensor.
     """
 
     def __init__(self, path: str | os.PathLike[str], size: tuple[int, int]) -> None:

@@ -84,15 +84,9 @@ class Orientation:
 
 
 class DavisDecoder:
-    """Decode words into packets; buffers may be divided anywhere.
+    """Decode words of a sensor (height, width) into packets.
 
-    Parameters
-    ----------
-    size : (int, int)
-        Sensor (height, width).
-    orientation : Orientation
-    log : ProblemLog
-        Receives the problems found.
+    Buffers may be divided anywhere; the log receives the problems found.
     """
 
     def __init__(

@@ -39,13 +39,8 @@ _RECORD = struct.Struct("<dII")
 class Transfer:
     """The bytes of one USB transfer.
 
-    Parameters
-    ----------
-    data : bytes
-    host_s : float
-        Time of arrival of the last byte, s, on any clock.
-    lost : bool
-        Whether data before them were lost.
+    `host_s` is the time of arrival of the last one, s, on any clock; `lost` tells that
+    data before them were lost.
     """
 
     data: bytes
@@ -58,14 +53,6 @@ class TraceWriter:
 
     The file gets its name when the writer is closed, also by an exception, as it holds
     what was sent until then; if it could not be written, no file remains.
-
-    Parameters
-    ----------
-    path : path
-    info : RecordingInfo
-        Facts about the camera.
-    orientation : Orientation
-        Orientation of its chips.
     """
 
     def __init__(

@@ -30,14 +30,7 @@ _MOST_COORDINATE = 2047
 
 
 class _EventWriter(RecordingWriter):
-    """Base: what is no event is counted as lost.
-
-    Parameters
-    ----------
-    path : path
-    recording : Recording
-        Gives the header's facts.
-    """
+    """Base: what is no event is counted as lost; the recording tells the header."""
 
     holds = frozenset(("events",))
 

@@ -16,18 +16,8 @@ _POSITIONED = hasattr(os, "preadv")     # which Windows lacks
 class FileReader:
     """A file that several threads may read at any position.
 
-    It is closed when it is garbage-collected.
-
-    Parameters
-    ----------
-    path : path
-    descriptor : int, optional
-        Descriptor of an open file, which `close` closes; `path` is then only a name.
-
-    Raises
-    ------
-    RecordingError
-        If the file cannot be opened.
+    It is closed when it is garbage-collected.  Of an open file's descriptor, which
+    `close` closes, the path is only a name.
     """
 
     def __init__(
@@ -104,13 +94,7 @@ class FileReader:
 
 
 class RemoteReader(FileReader):
-    """An object in a store that several threads may read at any position, by ranges.
-
-    Raises
-    ------
-    RecordingError
-        If it does not exist.
-    """
+    """An object in a store that several threads may read at any position, by ranges."""
 
     def __init__(self, path: RemotePath) -> None:
         self.path: Any = path

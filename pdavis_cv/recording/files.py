@@ -34,10 +34,7 @@ _SIZES = ((260, 346), (480, 640), (720, 1280))
 class ProblemLog:
     """Collect the problems of one recording; repeated reading counts each only once.
 
-    Parameters
-    ----------
-    name : str
-        Name of the recording, for warnings.
+    Its name is for warnings.
     """
 
     def __init__(self, name: str) -> None:

@@ -54,13 +54,7 @@ class Limits:
 
 
 class Budget:
-    """What the reader of one file may still take.
-
-    Parameters
-    ----------
-    path : path
-    limits : Limits, optional
-    """
+    """What the reader of one file may still take."""
 
     def __init__(self, path: Any, limits: Limits | None = None) -> None:
         self._path, self.limits = path, limits or Limits()

@@ -16,13 +16,7 @@ _BLOCK = 1 << 20
 
 @dataclass(frozen=True)
 class Member:
-    """One file of a source.
-
-    Parameters
-    ----------
-    path : Path
-        The file; of an object in a store, its address.
-    """
+    """One file of a source; of an object in a store, `path` is its address."""
 
     path: Path
 

@@ -33,14 +33,8 @@ _PIXEL = 5
 class Batch:
     """Samples decoded by a reader, each kind in time order.
 
-    Parameters
-    ----------
-    events, imu, triggers : ndarray or None
-        With EVENT_DTYPE, IMU_DTYPE and TRIGGER_DTYPE.
-    frames : list of ApsFrame
-        In the order of ``available_us``.
-    complete_us : int
-        No later batch holds a sample before this time.
+    Frames are in the order of ``available_us``.  No later batch holds a sample before
+    `complete_us`.
     """
 
     events: NDArray[Any] | None = None

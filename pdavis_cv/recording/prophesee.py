@@ -63,20 +63,11 @@ def ordered_triggers(t: NDArray[np.int64], rising: NDArray[Any], after_us: int
 
 
 class WordStream:
-    """Decode words of EVT2, EVT2.1 or EVT3; the state is kept between calls.
+    """Decode words of EVT2, EVT2.1 (version 21) or EVT3; the state is kept.
 
-    Parameters
-    ----------
-    version : {2, 21, 3}
-    size : (int, int)
-        Sensor (height, width).
-    high_first : bool
-        Of EVT2.1: whether the upper half of a word comes first.
-
-    Attributes
-    ----------
-    triggers : ndarray of int64, shape (N, 2)
-        External triggers of the last call: time in the file in us, 1 for a rising edge.
+    Of EVT2.1, `high_first` tells whether the upper half of a word comes first.
+    `triggers`, int64 (N, 2), are the external triggers of the last call: time in the
+    file in us, 1 for a rising edge.
     """
 
     def __init__(self, version: int, size: tuple[int, int], *, high_first: bool = True
@@ -151,11 +142,7 @@ def _upper_first(pairs: NDArray[np.unsignedinteger]) -> bool:
 class PropheseeRecording(SequentialRecording):
     """A recording in Prophesee's RAW or DAT; see `open_recording`.
 
-    Parameters
-    ----------
-    path : path
-    options : SourceOptions
-        Its ``camera`` must be part of the header's camera or serial number if given.
+    A stated ``camera`` must be part of the header's camera or serial number.
     """
 
     def _open(self, options: SourceOptions) -> RecordingInfo:

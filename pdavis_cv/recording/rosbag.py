@@ -115,14 +115,9 @@ def _bound_decompressors() -> None:
 
 
 class _Message:
-    """Read the fields of one message in order.
+    """Read the fields of one message, as stored in the bag, in order.
 
-    Parameters
-    ----------
-    data : bytes
-        The message as stored in the bag.
-    cdr : bool
-        Whether it is of ROS 2 (aligned, with a header of four bytes) instead of ROS 1.
+    With `cdr` it is of ROS 2 (aligned, with a header of four bytes) instead of ROS 1.
     """
 
     def __init__(self, data: bytes, cdr: bool) -> None:
@@ -188,17 +183,12 @@ class _Message:
 class RosRecording(PiecewiseRecording):
     """A recording in a ROS bag; see `open_recording`.
 
-    Events of ``EventArray`` in dvs_msgs, prophesee_event_msgs and dv_ros_msgs, and of
+    A ``.bag`` file, the folder of a ROS 2 bag, or a ``.db3`` or ``.mcap`` file.  Events
+    of ``EventArray`` in dvs_msgs, prophesee_event_msgs and dv_ros_msgs, and of
     ``event_camera_msgs/EventPacket`` (in the encodings ``libcaer``, ``libcaer_cmp``,
     ``evt3``, ``mono``), with external triggers; grey ``sensor_msgs/Image``.  Times are
-    those of the messages; the exposure of images is not known.
-
-    Parameters
-    ----------
-    path : path
-        A ``.bag`` file, the folder of a ROS 2 bag, or a ``.db3`` or ``.mcap`` file.
-    options : SourceOptions
-        Its ``camera`` is a part of the topics' names, if the bag holds several.
+    those of the messages; the exposure of images is not known.  A stated ``camera`` is
+    a part of the topics' names, if the bag holds several.
     """
 
     _unit = "message"
@@ -537,13 +527,7 @@ class RosRecording(PiecewiseRecording):
 
 
 class _Packet:
-    """The fields of an event_camera_msgs/EventPacket.
-
-    Parameters
-    ----------
-    message : _Message
-        At its beginning.
-    """
+    """The fields of an event_camera_msgs/EventPacket."""
 
     def __init__(self, message: _Message) -> None:
         self.stamp_us = message.header() // 1000

@@ -46,12 +46,8 @@ class Scratch:
 class Gathering(Scratch):
     """A Scratch that collects the events of all chunks in one array.
 
-    Parameters
-    ----------
-    start_us, stop_us : int, optional
-        Half-open interval of the events to keep.
-    budget : Budget
-        From which their memory is taken.
+    They are those in [start_us, stop_us), by default all; their memory is taken from
+    the budget.
     """
 
     def __init__(self, start_us: int | None, stop_us: int | None, budget: Budget

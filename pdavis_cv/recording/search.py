@@ -16,12 +16,8 @@ _MORE = 64
 class Search:
     """Places where packets begin, each byte of the file being looked at once.
 
-    Parameters
-    ----------
-    reader : FileReader
-    budget : Budget
-    begins : callable
-        Given a byte and what follows it in the file, yields places in it, in order.
+    `begins`, given a byte and what follows it in the file, yields places in it, in
+    order.
     """
 
     def __init__(self, reader: FileReader, budget: Budget,

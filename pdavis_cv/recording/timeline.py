@@ -48,13 +48,9 @@ class SegmentError(Exception):
 class Timeline:
     """The segments of one pass over a recording, shared by its streams.
 
-    Parameters
-    ----------
-    alone : bool
-        Whether one of several streams is read: the shift of a segment depends on all.
-    bits : int
-        Of the counter of times in the file.  One of 32 bits has overflowed if it falls
-        by more than half of its range, others only if they fall by 2**32 us.
+    `alone` tells that one of several streams is read: the shift of a segment depends on
+    all.  A counter of 32 bits in the file has overflowed if it falls by more than half
+    of its range, others only if they fall by 2**32 us.
     """
 
     def __init__(self, *, alone: bool = False, bits: int = 64) -> None:
@@ -247,12 +243,8 @@ class Marks:
     """Positions where reading can resume, with the decoder's state there.
 
     They serve as index for files in which samples depend on everything before them; the
-    first pass makes it.
-
-    Parameters
-    ----------
-    spacing : int
-        Smallest distance of two marks, in the unit of positions.
+    first pass makes it.  Two marks lie at least `spacing` apart, in the unit of
+    positions.
     """
 
     def __init__(self, spacing: int) -> None:

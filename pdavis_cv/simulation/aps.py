@@ -187,12 +187,7 @@ class ApsPixel:
 class FrameClock:
     """Exposures on the recording's clock, and integrals of light over them.
 
-    Parameters
-    ----------
-    pixel : ApsPixel
-        Parameters.
-    width : int
-        Columns of the sensor.
+    `width` is the number of columns of the sensor.
     """
 
     def __init__(self, pixel: ApsPixel, width: int) -> None:

@@ -38,19 +38,8 @@ class Bus:
 class BusState:
     """The state of a bus between chunks of events, which `pass_on` sends through it.
 
-    Parameters
-    ----------
-    bus : Bus
-        Its rates.
-    size : (int, int)
-        (height, width) of the sensor.
-
-    Attributes
-    ----------
-    lost : int
-        Events lost so far.
-    load : float
-        Fraction of the last chunk's time in which the bus was busy, at most 1.
+    `lost` counts the events lost so far; `load` is the fraction of the last chunk's
+    time in which the bus was busy, at most 1.
     """
 
     def __init__(self, bus: Bus, size: tuple[int, int]) -> None:

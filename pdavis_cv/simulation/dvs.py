@@ -173,16 +173,8 @@ class DvsPixel:
 class PixelArray:
     """Event pixels with their state: `advance` turns light into events.
 
-    Parameters
-    ----------
-    pixel : DvsPixel
-        Parameters.
-    maps : mapping of str to ndarray, shape (H, W)
-        As from `DvsPixel.maps`.
-    seed : int
-        Seed of the noise.
-    origin : (int, int)
-        (row, column) of the first pixel on the sensor.
+    `maps` are those from `DvsPixel.maps`; `origin` is (row, column) of the first pixel
+    on the sensor.
     """
 
     def __init__(

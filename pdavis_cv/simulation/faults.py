@@ -63,15 +63,7 @@ class Faults:
 
 
 class EventFaults:
-    """Jitter and loss of one recording's events, piece by piece in order of time.
-
-    Parameters
-    ----------
-    faults : Faults
-        Loss and jitter.
-    seed : int
-        Seed of the noise.
-    """
+    """Jitter and loss of one recording's events, piece by piece in order of time."""
 
     def __init__(self, faults: Faults, seed: int) -> None:
         self.faults, self._seed, self._count = faults, seed, 0

@@ -37,20 +37,10 @@ _WEIGHTS = 4    # float64 arrays of (intervals, columns) that are held at once
 
 @dataclass(slots=True)
 class Piece:
-    """Output of the camera in 10 ms.
+    """Output of the camera in 10 ms, up to `stop_us`.
 
-    Attributes
-    ----------
-    stop_us : int
-        End of the piece.
-    events : ndarray of EVENT_DTYPE
-        Time-ordered.
-    frames : list of ApsFrame
-        Frames that became available in the piece.
-    bus_load : float
-        Fraction of the time in which the read-out bus was busy.
-    bus_lost : int
-        Events that the bus lost.
+    Frames are those that became available in it; `bus_load` is the fraction of the time
+    in which the read-out bus was busy, `bus_lost` the number of events that it lost.
     """
 
     stop_us: int

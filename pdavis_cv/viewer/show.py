@@ -30,12 +30,8 @@ _FAILURES = (OSError, PdavisError, ValueError, ImportError)
 class Show(ABC):
     """Provides images to several clients, and takes their commands.
 
-    Attributes
-    ----------
-    name : str
-        Of the recording's file, else the source's format.
-    white : float
-        Value of S0 / 2 at full scale of the converter; white in streams.
+    `name` is that of the recording's file, else the source's format; `white` the value
+    of S0 / 2 at full scale of the converter, white in streams.
     """
 
     live: bool
@@ -122,15 +118,9 @@ def show_of(
 
 
 class LiveShow(Show):
-    """The images of a session.
+    """The images of a session, which is closed at the end if it is owned.
 
-    Parameters
-    ----------
-    session : Session
-    owned : bool
-        Close it at the end.
-    record_to : path
-        Folder for recordings; their names are made here.
+    Names of recordings are made here, for the folder `record_to`.
     """
 
     live = True
@@ -203,13 +193,8 @@ class LiveShow(Show):
 class FileShow(Show):
     """A recording that plays, stops, and goes to any of its images.
 
-    Parameters
-    ----------
-    recording : Recording
-    owned : bool
-        Close it at the end.
-    options : dict of str to object
-        Of `fuse`; 60 images per second by default.
+    It is closed at the end if it is owned.  Options are those of `fuse`; 60 images per
+    second by default.
     """
 
     live = False

@@ -16,13 +16,8 @@ MOST_CLIENTS = 8
 class Site:
     """What is shown, to whom, and how it is sent.
 
-    Parameters
-    ----------
-    show : Show
-    token : str or None
-        Token that requests must contain; None: this machine's own only.
-    context : ssl.SSLContext or None
-        TLS context for encrypted connections.
+    Requests must contain the token; None: this machine's own only.  With a TLS context,
+    connections are encrypted.
     """
 
     def __init__(

@@ -40,14 +40,8 @@ def assume_ratio(recording: Recording, options: dict[str, Any]) -> list[str]:
 class Frames:
     """Frames of a recording as images at the middles of their exposures.
 
-    Parameters
-    ----------
-    recording : Recording
-    options : dict
-        Arguments of fuse().  Without frames they are those of fused images, which
-        count as frames of no exposure.
-    background : ndarray or None
-        S0, S1, S2 without the sample.
+    Without frames the options are those of fused images, which count as frames of no
+    exposure.  `background` are S0, S1, S2 without the sample.
     """
 
     def __init__(

@@ -20,16 +20,7 @@ _COLOURS = ((80, 220, 255), (255, 180, 80), (120, 255, 120), (255, 120, 220))
 class TendonSheet:
     """Compose the pictures of the video.
 
-    Parameters
-    ----------
-    args : Namespace
-        Options of the command line.
-    recording : Recording
-        Source of the events.
-    found : Findings
-        Traces and the load's frequency.
-    options : dict
-        Arguments of fuse(), with ``times_us``.
+    The options of fuse() have ``times_us``.
     """
 
     def __init__(

@@ -42,15 +42,10 @@ _SERIAL = re.compile(r"[-_]([0-9A-F]{8}|\d{3,8})(?=[-_.]|$)")
 class Aedat2Recording(PiecewiseRecording):
     """A recording in AEDAT-2.0; see `open_recording`.
 
-    Rows and columns are those of the image: row 0 at the top, no mirror.  IMU
-    signs are jAER's (``info.header["imu_axes"]``).
-
-    Parameters
-    ----------
-    path : path
-    options : SourceOptions
-        Its ``camera`` must be part of the chip's name if given; its
-        ``sensor_size`` is needed if no chip is named and the addresses fit several.
+    Rows and columns are those of the image: row 0 at the top, no mirror.  IMU signs are
+    jAER's (``info.header["imu_axes"]``).  A stated ``camera`` must be part of the
+    chip's name; ``sensor_size`` is needed if no chip is named and the addresses fit
+    several.
     """
 
     def _open(self, options: SourceOptions) -> RecordingInfo:

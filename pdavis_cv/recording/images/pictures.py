@@ -64,14 +64,7 @@ class Pictures(ABC):
 
 
 class Several(Pictures):
-    """Files that follow each other.
-
-    Parameters
-    ----------
-    names : sequence of str
-    open_one : callable
-        Opens a file by its name.
-    """
+    """Files that follow each other, each opened by its name."""
 
     def __init__(self, names: Sequence[str], open_one: Callable[[str], Pictures]
                  ) -> None:
@@ -105,13 +98,7 @@ class Several(Pictures):
 
 
 class FourPictures(Pictures):
-    """Four sequences, one for each channel, as one with four planes.
-
-    Parameters
-    ----------
-    four : sequence of Pictures
-        In the order I0, I45, I90, I135.
-    """
+    """Four sequences, I0, I45, I90, I135 in this order, as one with four planes."""
 
     def __init__(self, four: Sequence[Pictures]) -> None:
         self._four = four
@@ -133,17 +120,7 @@ class FourPictures(Pictures):
 
 
 class AlignedPictures(Pictures):
-    """Planes of each time, laid over the first one as those of the first time are.
-
-    Parameters
-    ----------
-    pictures : Pictures
-        Of several planes.
-
-    Attributes
-    ----------
-    array : AnalyserArray
-    """
+    """Planes of each time, laid over the first one as those of the first time are."""
 
     def __init__(self, pictures: Pictures) -> None:
         self._pictures, self.facts = pictures, pictures.facts
@@ -162,12 +139,7 @@ class AlignedPictures(Pictures):
 
 
 class StackedPictures(Pictures):
-    """All pictures as the planes of one time.
-
-    Parameters
-    ----------
-    pictures : Pictures
-    """
+    """All pictures as the planes of one time."""
 
     def __init__(self, pictures: Pictures) -> None:
         self._pictures = pictures
@@ -180,14 +152,9 @@ class StackedPictures(Pictures):
 
 
 class SteppedPictures(Pictures):
-    """Planes, one for each angle of an analyser, as four planes.
+    """Planes of one time, one for each angle of an analyser, as four planes.
 
-    Parameters
-    ----------
-    pictures : Pictures
-        Of one time.
-    steps : AnalyserSteps, optional
-        The angle of each; default: they are found.
+    Without `steps`, the angles are found.
     """
 
     def __init__(self, pictures: Pictures, steps: AnalyserSteps | None) -> None:

@@ -104,10 +104,7 @@ class StillPicture(Pictures):
 class ArrayPictures(Pictures):
     """Images in a ``.npy`` file: (H, W), (T, H, W), (4, H, W) or (T, 4, H, W).
 
-    Raises
-    ------
-    RecordingError
-        If the array has another shape or is stored column by column.
+    An array of another shape, or stored column by column, is a RecordingError.
     """
 
     def __init__(self, path: str) -> None:

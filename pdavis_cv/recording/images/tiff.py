@@ -43,23 +43,8 @@ _UNITS = {"s": 1e6, "sec": 1e6, "second": 1e6, "seconds": 1e6, "ms": 1e3, "msec"
 class TiffPictures(Pictures):
     """Images in a TIFF file; four channels of one time are the four angles.
 
-    Parameters
-    ----------
-    path : str
-    budget : Budget, optional
-        Default: one of the file's own.
-
-    Attributes
-    ----------
-    four : bool
-        Whether it holds four channels of each time.
-
-    Raises
-    ------
-    ImportError
-        If tifffile is not installed.
-    RecordingError
-        If the file is damaged, or its axes are not times and four channels.
+    `four` tells whether it holds four channels of each time; other axes are a
+    RecordingError.
     """
 
     def __init__(self, path: str, budget: Budget | None = None) -> None:

@@ -35,22 +35,7 @@ _MONOCHROME = re.compile(rb"\x00\x00\x01\x67[\x64\x6e\x7a\xf4]..(.)|"
 
 
 class VideoPictures(Pictures):
-    """Grey images of a video.
-
-    Parameters
-    ----------
-    path : str
-    log : ProblemLog
-        Receives what is damaged.
-    budget : Budget
-
-    Raises
-    ------
-    ImportError
-        If PyAV is not installed.
-    RecordingError
-        If it is not a video, or not grey.
-    """
+    """Grey images of a video; the log receives what is damaged."""
 
     def __init__(self, path: str, log: ProblemLog, budget: Budget) -> None:
         self._path, self._log, self._budget = path, log, budget
