@@ -101,6 +101,21 @@ def sole(file: BinaryIO, path: Path) -> None:
         return      # the file system has no locks
 
 
+@contextlib.contextmanager
+def named(path: Path, part: Path) -> Iterator[None]:
+    """Add a file's name to an OSError in the block that names none, or its part."""
+    try:
+        yield
+    except OSError as error:
+        of_another = error.filename not in (None, str(part), part)
+        if of_another or (error.errno is None and type(error) is not OSError):
+            raise  # e.g. the file that is read
+        if error.errno is not None:
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        said = str(error)  # a message by NumPy or by this library
+        raise OSError(said if str(path) in said else f"{path}: {said}") from error
+
+
 class Unfinished:
     """A file that is written under a temporary name, `part`, and then renamed.
 
@@ -119,20 +134,9 @@ class Unfinished:
         self.part = beside.with_name(
             f".{beside.stem}.part{os.getpid()}-{secrets.token_hex(8)}{suffix}")
 
-    @contextlib.contextmanager
-    def named(self) -> Iterator[None]:
+    def named(self) -> contextlib.AbstractContextManager[None]:
         """Add the final file's name to an OSError in the block that names no file."""
-        try:
-            yield
-        except OSError as error:
-            named = error.filename not in (None, str(self.part), self.part)
-            if named or (error.errno is None and type(error) is not OSError):
-                raise  # of another file, e.g. the one that is read
-            if error.errno is not None:
-                raise OSError(error.errno, error.strerror, str(self.path)) from error
-            said = str(error)  # a message by NumPy or by this library
-            raise OSError(said if str(self.path) in said else f"{self.path}: {said}"
-                          ) from error
+        return named(self.path, self.part)
 
     def finish(self, whole: Path | None = None) -> None:
         """Give the file, or one in the folder that was made in its place, its name."""
@@ -196,25 +200,9 @@ def write_beside(
 ) -> Iterator[Path]:
     """Write a file under a temporary name, and rename it when it is complete.
 
-    Temporary files that killed processes left of the same file are removed.
-
-    Parameters
-    ----------
-    path : path
-        Final name; see `Place`.  An existing file is replaced at the end.
-    suffix : str, optional
-        Suffix of the name to write to, for a writer that needs it; default: `path`'s.
-
-    Yields
-    ------
-    Path
-        Name to write to, in the same folder.  If the block raises, this file is removed
-        and `path` is unchanged.
-
-    Raises
-    ------
-    OSError
-        Errors of the system in the block, with the final name if they have none.
+    Yields the name to write to; see `Unfinished`.  If the block raises, this file is
+    removed and `path` is unchanged; errors of the system in it get the final name if
+    they have none.  Temporary files that killed processes left are removed.
     """
     clear(path)
     unfinished = Unfinished(path, suffix)

@@ -381,6 +381,23 @@ def _all_taken(events: Events, taken: int, shape: tuple[int, int]) -> None:
         raise bad_event(events, taken, shape)
 
 
+def check_inside(events: Events, shape: tuple[int, int], of: str = "") -> None:
+    """Raise ValueError naming the first event that lies outside a sensor."""
+    height, width = shape
+    outside = (events["x"] >= width) | (events["y"] >= height) | (events["p"] > 1)
+    if outside.any():
+        raise _outside(events, int(outside.argmax()), shape, of)
+
+
+def _outside(
+    events: Events, i: int, shape: tuple[int, int], of: str = ""
+) -> ValueError:
+    event, (height, width) = events[i], shape
+    return ValueError(
+        f"event {i}{of} at (x={event['x']}, y={event['y']}, p={event['p']}) lies "
+        f"outside the {width}x{height} sensor")
+
+
 def bad_event(
     events: Events, i: int, shape: tuple[int, int], last_us: int | None = None
 ) -> ValueError:
@@ -391,9 +408,7 @@ def bad_event(
     """
     event, (height, width) = events[i], shape
     if event["y"] >= height or event["x"] >= width or event["p"] > 1:
-        return ValueError(
-            f"event {i} at (x={event['x']}, y={event['y']}, p={event['p']}) lies "
-            f"outside the {width}x{height} sensor")
+        return _outside(events, i, shape)
     before = int(events["t"][i - 1]) if i else last_us
     return ValueError(
         f"events must be time-ordered, but event {i} at t={event['t']} comes after "

@@ -221,6 +221,8 @@ def require_samples(recording: Recording, start_us: int | None) -> None:
     """Raise UsageError if a recording has no sample at start_us or later."""
     if next(recording.packets(start_us), None) is not None:
         return
+    from pdavis_cv.recording.base import start_of
+
     name = recording.path or "the recording"
     if start_us is None or next(recording.packets(), None) is None:
         raise UsageError(f"{name}: holds no frame and no event")
@@ -235,14 +237,6 @@ def covered(recording: Recording) -> str:
     if report.start_us is None or report.stop_us is None:
         return "the recording is empty"
     return f"the recording covers 0 .. {(report.stop_us - report.start_us) / 1e6:g} s"
-
-
-def start_of(recording: Recording) -> int:
-    """Return the time of the recording's first sample, 0 if it is empty."""
-    start = recording.info.start_us
-    if start is None:
-        start = next((packet.start_us for packet in recording.packets()), None)
-    return 0 if start is None else start
 
 
 def can_draw() -> bool:

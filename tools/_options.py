@@ -9,7 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ._common import UsageError, require_samples, start_of
+from pdavis_cv.recording.base import start_of
+
+from ._common import UsageError, require_samples
 from ._flags import WORDS, add_offered, fusion_options, offered, source_options
 from ._values import number, setting, within
 

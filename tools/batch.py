@@ -182,7 +182,3 @@ def _status(args: argparse.Namespace, out: str) -> int:
                 *(f"{count} x {error}" for error, count in errors.most_common())],
          done=done, failed=failed, errors=errors)
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

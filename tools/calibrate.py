@@ -19,6 +19,7 @@ from pdavis_cv.calibration.frames import dark_frame, flat_frame, frames_of
 from pdavis_cv.calibration.layout import detect_layout
 from pdavis_cv.calibration.sweep import SweepFit, fit_sweep, read_sweep, steps_in_time
 from pdavis_cv.fusion.learning import learned_camera
+from pdavis_cv.recording.base import start_of
 from pdavis_cv.sensor import CHANNELS, NOMINAL_THRESHOLDS, resolve_layout
 
 from ._calibration_report import Page, write_report
@@ -29,7 +30,6 @@ from ._common import (
     checked_out,
     command,
     for_people,
-    start_of,
     tell,
 )
 from ._options import (

@@ -72,7 +72,3 @@ def _table() -> str:
     return "formats:\n" + "\n".join("  " + "  ".join(
         cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -190,7 +190,3 @@ def _real(folder: Path) -> int:
 def mean_aop(frame: PolarFrame) -> float:
     """Return the angle of the mean S1, S2 of an image's usable pixels, radians."""
     return float(aop(frame.s1[frame.valid].mean(), frame.s2[frame.valid].mean()))
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -25,6 +25,7 @@ from pdavis_cv._opencv import opencv
 from pdavis_cv.colour_mosaic import COLOURS
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.quantities import GROUPS, INTENSITY, QUANTITIES, chosen
+from pdavis_cv.recording.base import start_of
 from pdavis_cv.render.colours import Picture
 
 from ._aop_events import SUFFIXES, export_aop_events
@@ -36,7 +37,6 @@ from ._common import (
     command,
     covered,
     require_samples,
-    start_of,
     tell,
 )
 from ._images import full_scale, screen_scale, told_if_nothing
@@ -513,7 +513,3 @@ def _write_stack(
     return [line], {"wrote": [args.out], "images": file.count,
                     "shape": [file.count, len(file.quantities), height, width],
                     "continued": done}
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

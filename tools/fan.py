@@ -17,6 +17,7 @@ import numpy as np
 from pdavis_cv import Recording, export, fuse, open_recording, render
 from pdavis_cv._opencv import opencv
 from pdavis_cv.analysis import SectorSummary, Wheel, summarise_sectors
+from pdavis_cv.recording.base import start_of
 
 from ._common import (
     Parser,
@@ -24,7 +25,6 @@ from ._common import (
     add_json_option,
     checked_out,
     command,
-    start_of,
     tell,
 )
 from ._images import (
@@ -229,7 +229,3 @@ def _line(source: str, summary: SectorSummary) -> str:
         summary.aop, summary.aop_se, summary.aop_sd, summary.error))
     return (f"{source:<7} {summary.sector:>4}   {aop:8.2f} +- {se:.2f}   {sd:6.2f}   "
             f"{error:+18.2f}   {summary.dolp:.3f}")
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -182,7 +182,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Layout):
         return value.stored_angles if value.colours else value.angles_deg
     return value.name if isinstance(value, Sensor) else plain(value)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -30,9 +30,10 @@ from pdavis_cv.batch import both_halves, predicted
 from pdavis_cv.errors import PdavisWarning
 from pdavis_cv.export import write_csv, write_json
 from pdavis_cv.reconstruct.methods import METHODS, make_reconstructor
+from pdavis_cv.recording.base import start_of
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 
-from ._common import Parser, UsageError, checked_out, command, start_of
+from ._common import Parser, UsageError, checked_out, command
 from ._options import add_file, add_source_options, calibration_of, opened
 from ._progress import progress
 from ._values import numbers, positive
@@ -394,7 +395,3 @@ def _write(
          for row in rows for score in row.scores))
     write_json(stem.with_name(stem.name + ".json"),
                _summary(args, halves, rows, advice))
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

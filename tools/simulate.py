@@ -126,7 +126,3 @@ def _parser() -> argparse.ArgumentParser:
 def _size(text: str) -> tuple[int, int]:
     width, height = numbers(text.lower().replace("x", ","), 2, int)
     return height, width
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

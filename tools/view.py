@@ -11,7 +11,9 @@ import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
 
-from ._common import Parser, UsageError, add_json_option, command, start_of, tell_now
+from pdavis_cv.recording.base import start_of
+
+from ._common import Parser, UsageError, add_json_option, command, tell_now
 from ._interrupts import ended_by_signals
 from ._options import add_file, add_fuse_options, fusion_given, source_of
 from ._tls import add_tls_options, tls_of

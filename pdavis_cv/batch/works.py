@@ -19,7 +19,7 @@ from pdavis_cv.fusion.options import FusionOptions
 from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.quantities import chosen
 from pdavis_cv.reconstruct.methods import default_method
-from pdavis_cv.recording.base import Recording
+from pdavis_cv.recording.base import Recording, start_of
 
 if TYPE_CHECKING:   # imported by the workers only
     from pdavis_cv.analysis import LeftOutFrames, Roi, Traces
@@ -45,14 +45,6 @@ class _Part:
             if value is not None:
                 changes[name] = start_of(recording) + round(value * 1e6)
         return options.replace(**changes)
-
-
-def start_of(recording: Recording) -> int:
-    """Return the time of a recording's first sample, 0 if it is empty."""
-    start = recording.info.start_us
-    if start is None:
-        start = next((packet.start_us for packet in recording.packets()), None)
-    return 0 if start is None else start
 
 
 @dataclass(frozen=True, kw_only=True)

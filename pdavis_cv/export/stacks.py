@@ -1,11 +1,10 @@
 """Stacks of planes that are written image by image and can be resumed."""
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
@@ -13,7 +12,7 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv._beside import Place, sole, write_beside
+from pdavis_cv._beside import Place, named, sole, write_beside
 from pdavis_cv.export.embedded import to_json
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import chosen
@@ -167,7 +166,7 @@ class StackFile(ABC):
             raise ValueError(
                 f"frame must be later than {self.times_us[-1]} us, got {frame.t_us}")
         bad = None if frame.valid.all() else ~frame.valid
-        with self._named():
+        with named(self.path, self.unfinished):
             for one in self._chosen:
                 values = one.of(frame)
                 if bad is not None and one.dtype == np.float32:
@@ -175,16 +174,6 @@ class StackFile(ABC):
                 self._data.write(np.ascontiguousarray(values, "<f4").data)
             self._log.write(frame.t_us.to_bytes(8, "little", signed=True))
         self.times_us.append(frame.t_us)
-
-    @contextlib.contextmanager
-    def _named(self) -> Iterator[None]:
-        """Add the file's name to errors of the system, which lack it on writing."""
-        try:
-            yield
-        except OSError as error:
-            if error.filename is None and error.strerror:
-                raise OSError(error.errno, error.strerror, str(self.path)) from None
-            raise
 
     @abstractmethod
     def _finish(self, part: Path, stack: NDArray[np.float32]) -> None:
@@ -204,7 +193,7 @@ class StackFile(ABC):
             return
         if not self.times_us:
             raise ValueError(f"{self.path}: no image to write")
-        with self._named():
+        with named(self.path, self.unfinished):
             self._data.flush()
         stack = np.memmap(self.unfinished, np.dtype("<f4"), "r", shape=(
             self.count, len(self.quantities), *(self.shape or (0, 0))))

@@ -239,6 +239,13 @@ def joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     return out
 
 
+def check_size(frame: ApsFrame, size: tuple[int, int], what: str = "frame") -> None:
+    """Raise ValueError unless a frame has the size of the sensor, (height, width)."""
+    if frame.shape != size:
+        raise ValueError(f"{what} is {frame.shape[1]}x{frame.shape[0]}, the sensor "
+                         f"{size[1]}x{size[0]}")
+
+
 @dataclass(slots=True, eq=False)
 class Packet(Advises):
     """A short piece of a recording; its arrays belong to the receiver.
@@ -566,3 +573,11 @@ class Recording(Source):
             start_us=start, stop_us=stop, event_count=events, on_count=on,
             frame_count=frames, imu_count=imu, trigger_count=triggers,
             problems=tuple(self.problems))
+
+
+def start_of(recording: Recording) -> int:
+    """Return the time of the recording's first sample, 0 if it is empty."""
+    start = recording.info.start_us
+    if start is None:
+        start = next((packet.start_us for packet in recording.packets()), None)
+    return 0 if start is None else start

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._checks import sensor_shape
-from pdavis_cv.events import EVENT_DTYPE, check_order, timed_events
+from pdavis_cv.events import EVENT_DTYPE, check_inside, check_order, timed_events
 from pdavis_cv.recording.base import (
     IMU_DTYPE,
     TRIGGER_DTYPE,
@@ -17,6 +17,7 @@ from pdavis_cv.recording.base import (
     Problem,
     Recording,
     RecordingInfo,
+    check_size,
 )
 from pdavis_cv.recording.facts import CALLER
 from pdavis_cv.recording.packetise import Batch, packetise
@@ -100,21 +101,12 @@ def recording_from_arrays(
     layout = None if layout is None else Layout.of(layout)
     height, width = sensor_shape(sensor_size, "sensor_size")
     check_order(events)
-    outside = np.flatnonzero(
-        (events["x"] >= width) | (events["y"] >= height) | (events["p"] > 1))
-    if outside.size:
-        i = int(outside[0])
-        raise ValueError(
-            f"event {i} at (x={events['x'][i]}, y={events['y'][i]}, "
-            f"p={events['p'][i]}) lies outside the {width}x{height} sensor")
+    check_inside(events, (height, width))
     for i, frame in enumerate(frames):
         if not isinstance(frame, ApsFrame):
             raise TypeError(
                 f"frames must be ApsFrames, but frame {i} is {type(frame).__name__}")
-        if frame.shape != (height, width):
-            raise ValueError(
-                f"frame {i} is {frame.shape[1]}x{frame.shape[0]}, the sensor "
-                f"{width}x{height}")
+        check_size(frame, (height, width), f"frame {i}")
         if i and (frame.available_us <= frames[i - 1].available_us
                   or frame.mid_us <= frames[i - 1].mid_us):
             raise ValueError(

@@ -49,7 +49,6 @@ HORIZON_US = 500_000
 """Longest time by which events and images of a bag may be out of order."""
 SIZES = 9
 """Number of messages whose most frequent size is taken as that of the sensor."""
-MAX_MESSAGE = 1 << 28
 _BUDGET: ContextVar[Budget | None] = ContextVar("budget", default=None)
 """Of the bag that rosbags reads just now."""
 EVENT_ARRAYS = frozenset(f"{package}/msg/EventArray" for package in (

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from pdavis_cv import _kernels
 from pdavis_cv.errors import RecordingError
-from pdavis_cv.events import EVENT_DTYPE, check_order
-from pdavis_cv.recording.base import Packet, Problem, RecordingInfo, Source
+from pdavis_cv.events import EVENT_DTYPE, check_inside, check_order
+from pdavis_cv.recording.base import Packet, Problem, RecordingInfo, Source, check_size
 
 _FIRST = -(2**63)
 """A time in us at or before all stamps."""
@@ -66,28 +66,16 @@ class StreamSource(Source):
             yield packet
 
     def _check(self, number: int, packet: Packet) -> None:
-        height, width = self._info.sensor_size
-        events = packet.events
+        size, events = self._info.sensor_size, packet.events
         # The usual packet is checked in one pass; any other one below, with a message.
         good = (events.dtype == EVENT_DTYPE and events.flags.c_contiguous
-                and _kernels.check_events(events, _FIRST, height, width) == len(events))
+                and _kernels.check_events(events, _FIRST, *size) == len(events))
         for name in ("imu", "triggers") if good else ("events", "imu", "triggers"):
             check_order(getattr(packet, name), f"{name} of packet {number}")
-        if not good and len(events) and (
-                int(events["x"].max()) >= width or int(events["y"].max()) >= height
-                or int(events["p"].max()) > 1):
-            outside = (events["x"] >= width) | (events["y"] >= height) | (
-                events["p"] > 1)
-            i = int(outside.argmax())
-            raise ValueError(
-                f"event {i} of packet {number} at (x={events['x'][i]}, "
-                f"y={events['y'][i]}, p={events['p'][i]}) lies outside the "
-                f"{width}x{height} sensor")
+        if not good:
+            check_inside(events, size, f" of packet {number}")
         for frame in packet.frames:
-            if frame.shape != (height, width):
-                raise ValueError(
-                    f"frame of packet {number} is {frame.shape[1]}x{frame.shape[0]}, "
-                    f"the sensor {width}x{height}")
+            check_size(frame, size, f"frame of packet {number}")
 
     def close(self) -> None:
         """Stop reading, and close the iterable if it has a close method."""

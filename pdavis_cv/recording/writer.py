@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import Unfinished
-from pdavis_cv.recording.base import Packet, RecordingInfo, Source
+from pdavis_cv.events import check_inside
+from pdavis_cv.recording.base import Packet, RecordingInfo, Source, check_size
 from pdavis_cv.recording.facts import text_of
 from pdavis_cv.recording.prophesee import FALLING, RISING
 
@@ -81,19 +82,9 @@ class RecordingWriter(ABC):
             raise ValueError(
                 f"packets must be in time order, but one at {start} us comes after "
                 f"{self._last_us} us")
-        height, width = self.sensor_size
-        events = packet.events
-        if len(events) and (int(events["x"].max()) >= width
-                            or int(events["y"].max()) >= height):
-            i = int(((events["x"] >= width) | (events["y"] >= height)).argmax())
-            raise ValueError(
-                f"event {i} at (x={events['x'][i]}, y={events['y'][i]}) lies outside "
-                f"the {width}x{height} sensor")
+        check_inside(packet.events, self.sensor_size)
         for frame in packet.frames:
-            if frame.shape != self.sensor_size:
-                raise ValueError(
-                    f"frame is {frame.shape[1]}x{frame.shape[0]}, the sensor "
-                    f"{width}x{height}")
+            check_size(frame, self.sensor_size)
         with self._unfinished.named():
             try:
                 self._write(packet)

@@ -27,8 +27,9 @@ from pdavis_cv import (
 )
 from pdavis_cv._opencv import opencv
 from pdavis_cv.export.ometiff import tifffile
+from pdavis_cv.recording.base import start_of
 
-from .._common import Parser, UsageError, add_json_option, command, start_of, tell
+from .._common import Parser, UsageError, add_json_option, command, tell
 from .._images import facts_of, grid_times, held_at, of_frames, told_if_nothing
 from .._options import add_file, add_fuse_options, fuse_options, opened
 from .._progress import progress, stage
