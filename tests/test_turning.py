@@ -432,6 +432,11 @@ def test_the_analyser_must_be_one(few):
         pdavis_cv.fuse(as_recording(few), analyser=3)
 
 
+def test_an_event_alone_has_no_speed():
+    events = np.zeros(1, EVENT_DTYPE)
+    assert found_hz(pdavis_cv.recording_from_arrays(events, sensor_size=(4, 4))) is None
+
+
 def test_light_that_is_not_modulated_has_no_speed():
     rng = np.random.default_rng(0)
     events = np.zeros(20_000, EVENT_DTYPE)

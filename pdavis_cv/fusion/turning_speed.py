@@ -111,8 +111,8 @@ def _strongest(
     best = int(np.argmax(np.where(wanted, power, 0)))
     around = (hz > hz[best] / 1.6) & (hz < hz[best] * 1.6) & (
         np.abs(hz - hz[best]) > _LOBE_HZ)
-    if not power[best] > max(
-            _CLEAR * np.median(power[wanted]), _APART * np.max(power[around])):
+    if not power[best] > max(_CLEAR * np.median(power[wanted]),
+                             _APART * np.max(power[around], initial=0.0)):
         return None
     left, top, right = power[best - 1:best + 2]
     bend = left - 2 * top + right

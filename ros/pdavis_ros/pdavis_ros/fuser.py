@@ -7,6 +7,7 @@ import numpy as np
 
 from pdavis_cv import EVENT_DTYPE, ApsFrame, Packet, RecordingInfo, render
 from pdavis_cv.live import Session
+from pdavis_cv.live.base import restated
 from pdavis_cv.recording.event_packets import ENCODINGS
 from pdavis_cv.recording.options import SourceOptions
 
@@ -114,8 +115,8 @@ class Fuser:
         """Return the size of the sensor; the first message gives it."""
         if self._session is None:
             self._size = message.height, message.width
-            info = RecordingInfo(format="ROS", sensor_size=self._size).restated(
-                SourceOptions(layout=self._layout))
+            info = restated(RecordingInfo(format="ROS", sensor_size=self._size),
+                            SourceOptions(layout=self._layout))
             self._session = Session(info, **self._options)
         return self._size
 
