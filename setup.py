@@ -54,6 +54,7 @@ KERNELS = (
 )
 SOURCE_TREE_ONLY = ("_floor",)  # what lab/bench compares with: no user needs it
 SHARED = (
+    "_aedat4.h",
     "_check.pxd",
     "_channels.h",
     "_clones.h",

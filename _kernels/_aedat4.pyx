@@ -1,44 +1,18 @@
 """AEDAT-4 payloads: event structs and vectors of tables."""
-from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t, uint32_t
+from libc.stdint cimport (
+    int16_t, int32_t, int64_t, uint8_t, uint16_t, uint32_t, uint64_t)
 from libc.string cimport memcpy, memset
 
-from _kernels._check cimport BACKWARD, FILLED, LAST, ORDERED, OUTSIDE, STATE
+from _kernels._check cimport BACKWARD, FILLED, LAST, STATE, put
 from _kernels._types cimport event_t
 
 cdef enum:
     STRIDE = 16     # int64 t, int16 x, int16 y, bool p, three bytes of padding
+    BLOCK = 1024    # events that are decoded before they are judged
 
 
-cdef inline Py_ssize_t plain(const uint8_t* source, Py_ssize_t n, uint32_t right,
-                             uint32_t bottom, bint flip, int64_t first, int64_t last,
-                             int64_t* state, event_t* out) noexcept nogil:
-    """Decode events up to the first that lies outside; return how many."""
-    cdef Py_ssize_t i, done = n
-    cdef int64_t t, before = state[LAST]
-    cdef bint fall = False
-    cdef uint32_t x, y, p
-    for i in range(n):
-        memcpy(&t, source, 8)
-        # Unsigned: negative coordinates become large.
-        x = <uint32_t>source[8] | <uint32_t>source[9] << 8
-        y = <uint32_t>source[10] | <uint32_t>source[11] << 8
-        p = source[12]
-        if flip:
-            y = bottom - y
-        if (t < first) | (t > last) | (x > right) | (y > bottom) | (p > 1):
-            done = i
-            break
-        fall |= t < before
-        before = t
-        out[i].t = t
-        out[i].x = <uint16_t>x
-        out[i].y = <uint16_t>y
-        out[i].p = <uint8_t>p
-        source += STRIDE
-    state[LAST] = before
-    if fall:
-        state[ORDERED] = -1
-    return done
+cdef extern from "_aedat4.h" nogil:
+    bint plain_events(const uint8_t*, Py_ssize_t, uint64_t, bint, int64_t, uint8_t*)
 
 
 def aedat4_events(const uint8_t[::1] data not None, Py_ssize_t at, Py_ssize_t n,
@@ -50,9 +24,12 @@ def aedat4_events(const uint8_t[::1] data not None, Py_ssize_t at, Py_ssize_t n,
     state is as in _check.pxd.  flip turns rows upside down.  Events whose time is not
     in first .. last are dropped.
     """
-    cdef Py_ssize_t i = 0, run
+    cdef Py_ssize_t block, left
     cdef int64_t t
+    cdef int16_t[2] place
     cdef const uint8_t* source
+    cdef event_t* to
+    cdef uint64_t corner = <uint64_t>(width - 1 | height - 1 << 16)
     if state.shape[0] != STATE:
         raise ValueError("aedat4_events: state must hold 7 numbers")
     if not (0 < height <= 1 << 15 and 0 < width <= 1 << 15):
@@ -65,17 +42,30 @@ def aedat4_events(const uint8_t[::1] data not None, Py_ssize_t at, Py_ssize_t n,
         return
     source = &data[0] + at
     with nogil:
-        while True:
-            run = plain(source + i * STRIDE, n - i, <uint32_t>(width - 1),
-                        <uint32_t>(height - 1), flip, first, last,
-                        &state[0], &out[0] + state[FILLED])
-            state[FILLED] += run
-            i += run
-            if i == n:
-                break
-            memcpy(&t, source + i * STRIDE, 8)
-            state[BACKWARD if t < first or t > last else OUTSIDE] += 1
-            i += 1
+        while n > 0:
+            block = min(n - 1, BLOCK)       # the last event has none after it
+            memcpy(&t, source, 8)
+            to = &out[0] + state[FILLED]
+            if block and first <= t and plain_events(
+                    source, block, corner, flip, state[LAST], <uint8_t*>to) and (
+                    to[block - 1].t <= last):
+                state[FILLED] += block
+                state[LAST] = to[block - 1].t
+                source += block * STRIDE
+                n -= block
+                continue
+            left = n - max(block, 1)
+            while n > left:
+                memcpy(&t, source, 8)
+                memcpy(&place, source + 8, 4)
+                if t < first or t > last:
+                    state[BACKWARD] += 1
+                else:
+                    put(&out[0], t, place[0],
+                        height - 1 - place[1] if flip else place[1], source[12],
+                        height, width, &state[0])
+                source += STRIDE
+                n -= 1
 
 
 cdef inline Py_ssize_t field_at(const uint8_t* data, Py_ssize_t size,

@@ -107,8 +107,8 @@ def aedat2_samples(
     imu_t: _I64, imu: NDArray[np.int16], trigger_t: _I64, trigger: _U8,
 ) -> tuple[int, int]: ...
 def aedat4_events(
-    data: _U8, at: int, n: int, height: int, width: int, flip: bool, first: int,
-    last: int, state: _I64, out: NDArray[Any],
+    data: bytes | memoryview | _U8, at: int, n: int, height: int, width: int,
+    flip: bool, first: int, last: int, state: _I64, out: NDArray[Any],
 ) -> None: ...
 def davis_words(
     words: NDArray[np.uint16], begin: int, turned: bool, height: int, width: int,

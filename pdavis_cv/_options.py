@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
 import textwrap
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -73,10 +74,12 @@ class Options:
         return dataclasses.replace(self, **known, parameters=parameters)
 
     @classmethod
+    @functools.cache
     def facts(cls) -> Mapping[str, OptionFacts]:
         """Return the `OptionFacts` of each option, by name."""
-        return {one.name: one.metadata["facts"] for one in dataclasses.fields(cls)
-                if "facts" in one.metadata}
+        return MappingProxyType({
+            one.name: one.metadata["facts"] for one in dataclasses.fields(cls)
+            if "facts" in one.metadata})
 
     def __reduce__(self) -> tuple[Any, ...]:
         values = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
@@ -131,11 +134,11 @@ def changed(
     so.
     """
     if options is None:
-        return kind().replace(**changes)
+        options = kind()
     if not isinstance(options, kind):
         raise TypeError(f"options must be {kind.__name__}, got {options!r:.60}; single "
                         "options are given by name")
-    return options.replace(**changes)
+    return options.replace(**changes) if changes else options
 
 
 def documented(text: str | None, *lists: type[Options]) -> str:

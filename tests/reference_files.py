@@ -10,14 +10,15 @@ from pdavis_cv import EVENT_DTYPE
 AEDAT4 = np.dtype([("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "u1"), ("", "V3")])
 
 
-def aedat4_events(data, at, n, height, width, *, flip=False):
-    """Decode n event structs, without those that lie outside."""
+def aedat4_events(data, at, n, height, width, *, flip=False, first=-1, last=1 << 61):
+    """Decode n event structs, without those that lie outside, in space or time."""
     raw = np.frombuffer(bytes(data), AEDAT4, n, at)
     y = height - 1 - raw["y"].astype(int) if flip else raw["y"].astype(int)
     taken = _Taken(height, width)
     for i in range(n):
         t, x, p = (int(raw[name][i]) for name in "txp")
-        taken.add(t, x, int(y[i]), p)
+        if first <= t <= last:
+            taken.add(t, x, int(y[i]), p)
     return np.array(taken.out, EVENT_DTYPE)
 
 

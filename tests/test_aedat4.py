@@ -12,6 +12,7 @@ from streams import random_events
 
 import pdavis_cv
 from pdavis_cv import (
+    EVENT_DTYPE,
     DamagedFileWarning,
     RecordingError,
     open_recording,
@@ -138,7 +139,7 @@ def test_header_facts_come_without_reading(real):
 
 
 def test_packets_keep_their_contract(real):
-    before = None
+    before, last = None, np.empty(0, EVENT_DTYPE)
     for packet in real.packets():
         assert len(packet.events) <= 65_536
         assert len(packet.frames) <= 1
@@ -146,7 +147,27 @@ def test_packets_keep_their_contract(real):
         assert before is None or packet.start_us >= before
         before = packet.stop_us
         assert packet.events.flags.writeable
-        assert packet.events.flags.owndata
+        assert not np.shares_memory(packet.events, last)
+        last = packet.events
+
+
+def test_a_packet_that_is_kept_keeps_little_else(tmp_path):
+    events = random_events(40_000, (10, 10), stop_us=10_000, read_only=False)
+    events["t"][15_000:15_700] += np.repeat(np.arange(1, 8) * 10_000, 100)
+    events["t"][15_700:] += 80_000
+    events.sort(order="t")
+    path = tmp_path / "x.aedat4"
+    write_aedat4(path, recording_from_arrays(events, sensor_size=(10, 10)))
+    with open_recording(path) as recording:
+        kept = [(p.events.nbytes, p.events.base) for p in recording.packets()]
+    assert min(own for own, _ in kept) == 1300 < 200_000 < max(own for own, _ in kept)
+    assert all(base is None or base.nbytes <= 16 * own for own, base in kept)
+
+
+def test_packets_of_arrays_are_copies():
+    events = random_events(20_000, (10, 10), stop_us=15_000)
+    for packet in recording_from_arrays(events, sensor_size=(10, 10)).packets():
+        assert not np.shares_memory(packet.events, events)
 
 
 @pytest.mark.parametrize("name", [FULL, "unclosed"])

@@ -17,6 +17,7 @@ def state4():
 
 def decode4(data, at, n, *, flip=False):
     out, state = np.empty(n, EVENT_DTYPE), state4()
+    state[5] = 0
     _kernels.aedat4_events(data, at, n, *SIZE, flip, -1, 1 << 61, state, out)
     return out[:state[0]], state
 
@@ -61,6 +62,30 @@ def test_aedat4_events_equal_their_twin(n, flip):
     wanted = reference_files.aedat4_events(packed, 5, n, *SIZE, flip=flip)
     np.testing.assert_array_equal(got, wanted)
     assert state[3] + state[4] == n - len(wanted)
+
+
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize(("field", "value"), [
+    ("x", SIZE[1]), ("x", -1), ("x", -(1 << 15)), ("y", SIZE[0]), ("y", -1),
+    ("y", -(1 << 15)), ("p", 2), ("p", 255), ("t", 0), ("t", -2), ("t", -(1 << 63)),
+    ("t", (1 << 61) + 1), ("padding", 255)])
+def test_one_bad_event_of_aedat4_is_found_wherever_it_lies(field, value, flip):
+    n = 2500
+    events = random_events(n, SIZE, seed=n, start_us=10)
+    good = reference_files.pack_aedat4_events(events)
+    for i in (0, 1, 1022, 1023, 1024, 1025, 2047, 2048, n - 2, n - 1):
+        packed = np.frombuffer(bytearray(good), reference_files.AEDAT4)
+        if field == "padding":
+            packed.view(np.uint8).reshape(n, 16)[i, 13:] = value
+        else:
+            packed[field][i] = value
+        got, state = decode4(packed.tobytes(), 0, n, flip=flip)
+        wanted = reference_files.aedat4_events(packed, 0, n, *SIZE, flip=flip)
+        np.testing.assert_array_equal(got, wanted)
+        impossible = field == "t" and value != 0
+        assert state[3:5].tolist() == [n - len(got) - impossible, impossible]
+        assert state[5] == (-1 if np.any(np.diff(got["t"]) < 0) else 0)
+        assert state[1] == got["t"][-1]
 
 
 @pytest.mark.parametrize("n", [0, 1, 1000])

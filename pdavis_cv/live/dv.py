@@ -229,8 +229,8 @@ class DvSource(LiveSource):
         clock = self._clock
         out = clock.room(Scratch(), count)
         _kernels.aedat4_events(
-            np.frombuffer(data, np.uint8), at, count, *self.info.sensor_size, False,
-            NEVER, -NEVER, clock.state, out)
+            data, at, count, *self.info.sensor_size, False, NEVER, -NEVER, clock.state,
+            out)
         found = out["t"][:int(clock.state[FILLED])]
         if len(found) and clock.last - int(np.median(found)) > SEGMENT_US:
             clock.state[BEFORE] = NEVER     # it was reset: a new segment

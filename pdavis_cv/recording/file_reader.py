@@ -41,18 +41,14 @@ class FileReader:
             raise ValueError(f"{self.path.name}: recording is closed")
         if offset < 0 or size <= 0:
             return b""
-        size = min(size, max(self.size - offset, 0))
-        parts = []
+        size, data = min(size, max(self.size - offset, 0)), b""
         try:
-            while size > 0:
-                part = self._pread(size, offset)
-                if not part:
-                    break
-                parts.append(part)
-                offset, size = offset + len(part), size - len(part)
+            while len(data) < size and (
+                    part := self._pread(size - len(data), offset + len(data))):
+                data = data + part if data else part
         except OSError as error:
-            raise self._unreadable(offset, error) from error
-        return parts[0] if len(parts) == 1 else b"".join(parts)
+            raise self._unreadable(offset + len(data), error) from error
+        return data
 
     def read_into(self, offset: int, buffer: memoryview) -> int:
         """Read bytes from offset on into a buffer; return their number.

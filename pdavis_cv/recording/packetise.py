@@ -27,6 +27,8 @@ from pdavis_cv.recording.limits import Budget
 END_OF_TIME = 1 << 62
 _PIXEL = 5
 """Bytes of a frame's pixel: its DN, and whether it is valid."""
+_MOST_KEPT = 16
+"""A packet that keeps more than so many times its own memory is copied."""
 
 
 @dataclass(slots=True)
@@ -51,17 +53,19 @@ def cell_start(t_us: int) -> int:
 
 def packetise(
     batches: Iterable[Batch], start_us: int | None = None, stop_us: int | None = None,
-    budget: Budget | None = None,
+    budget: Budget | None = None, *, own: bool = False,
 ) -> Iterator[Packet]:
     """Divide batches into packets and yield those in start_us <= time < stop_us.
 
     A packet ends at a multiple of 10 ms, just after a frame, or after 65,536 events,
     whichever comes first.  Batches must hold every sample from ``cell_start(start_us)``
-    on, so that boundaries do not depend on the interval.  The arrays of packets are
+    on, so that boundaries do not depend on the interval.  With `own`, nobody else uses
+    the memory of the batches, so that it may become that of packets; else they are
     copies.  Without a budget, nothing is bounded.
     """
     events, imu, triggers = (
-        _Queue(dtype) for dtype in (EVENT_DTYPE, IMU_DTYPE, TRIGGER_DTYPE))
+        _Queue(dtype, _MOST_KEPT if own else 0)
+        for dtype in (EVENT_DTYPE, IMU_DTYPE, TRIGGER_DTYPE))
     queues = (events, imu, triggers)
     frames: deque[ApsFrame] = deque()
     first = -END_OF_TIME if start_us is None else start_us
@@ -77,27 +81,23 @@ def packetise(
                 taken += samples.nbytes
         frames.extend(f for f in batch.frames if f.available_us >= begin)
         while True:
-            at = min(events.next_us, imu.next_us, triggers.next_us)
-            if frames:
-                at = min(at, frames[0].available_us)
-            if at >= end or at == END_OF_TIME:
+            closing = frames[0].available_us if frames else END_OF_TIME
+            at = min(events.next_us, imu.next_us, triggers.next_us, closing)
+            if at >= end:
                 break
-            until = cell_start(at) + MAX_PACKET_US
-            closing = bool(frames) and frames[0].available_us < until
-            if closing:
-                until = frames[0].available_us + 1
+            until = min(cell_start(at) + MAX_PACKET_US, closing + 1)
             if until > batch.complete_us:
                 break
             if budget is not None:
                 budget.time(at)
-            for part_end, part in events.parts(until):
-                last = part_end == until
-                shut = ((frames.popleft(),) if last and closing else ())
-                packet = Packet(part, shut, imu.take(part_end), triggers.take(part_end))
-                if not whole:
-                    packet = _cut(packet, first, end)
-                if whole or packet.start_us is not None:
-                    yield packet
+            part = events.take(until, MAX_PACKET_EVENTS)
+            part_end = min(events.next_us, until)
+            shut = (frames.popleft(),) if part_end > closing else ()
+            packet = Packet(part, shut, imu.take(part_end), triggers.take(part_end))
+            if not whole:
+                packet = _cut(packet, first, end)
+            if whole or packet.start_us is not None:
+                yield packet
         if batch.complete_us >= end and at >= end:
             return
         if budget is not None:
@@ -126,9 +126,10 @@ def between(samples: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
 class _Queue:
     """Samples of one kind that are not yet in a packet."""
 
-    __slots__ = ("_chunks", "_empty", "_used", "nbytes", "next_us")
+    __slots__ = ("_chunks", "_empty", "_most", "_used", "nbytes", "next_us")
 
-    def __init__(self, dtype: np.dtype[Any]) -> None:
+    def __init__(self, dtype: np.dtype[Any], most: int) -> None:
+        self._most = most
         self._chunks: deque[NDArray[Any]] = deque()
         self._empty = np.empty(0, dtype)
         self._used = self.nbytes = 0
@@ -144,15 +145,6 @@ class _Queue:
         if self.next_us == END_OF_TIME:
             self.next_us = int(samples["t"][0])
 
-    def parts(self, until: int) -> Iterator[tuple[int, NDArray[Any]]]:
-        """Yield samples before until, at most 65,536 at a time, each with its end."""
-        while True:
-            part = self.take(until, MAX_PACKET_EVENTS)
-            if self.next_us >= until:
-                yield until, part
-                return
-            yield self.next_us, part
-
     def take(self, until: int, limit: int = END_OF_TIME) -> NDArray[Any]:
         """Remove and return samples before until, at most limit."""
         if self.next_us >= until:
@@ -160,9 +152,10 @@ class _Queue:
         got: list[NDArray[Any]] = []
         while self._chunks and limit > 0:
             chunk, lo = self._chunks[0], self._used
+            times = chunk["t"]
             hi = min(len(chunk), lo + limit)
-            if chunk["t"][hi - 1] >= until:
-                hi = bisect_left(chunk["t"], until, lo, hi)
+            if times[hi - 1] >= until:
+                hi = bisect_left(times, until, lo, hi)
             if hi > lo:
                 got.append(chunk[lo:hi])
                 limit -= hi - lo
@@ -173,6 +166,8 @@ class _Queue:
             self._used = 0
         self.next_us = (int(self._chunks[0]["t"][self._used])
                         if self._chunks else END_OF_TIME)
-        found = joined(got)
+        found, base = got[0], got[0].base
+        if len(got) > 1 or base is None or base.nbytes > self._most * found.nbytes:
+            found = joined(got)
         self.nbytes -= found.nbytes
         return found

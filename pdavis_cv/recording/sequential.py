@@ -35,7 +35,7 @@ class PiecewiseRecording(FileRecording):
         """Iterate over the samples with start_us <= time < stop_us, in time order."""
         self._check_open()
         batches = (batch for batch, _ in self._pieces(start_us, Scratch()))
-        return packetise(batches, start_us, stop_us, self._budget)
+        return packetise(batches, start_us, stop_us, self._budget, own=True)
 
     def events(
         self, start_us: int | None = None, stop_us: int | None = None

@@ -168,33 +168,26 @@ class Aedat4File:
             payload = decompressed(payload, self.compression, self.budget)
         table = root_table(payload, b"FTAB")
         at, count = table.vector(0, 4)
-        offset, header, number, start, stop = table_fields(
-            payload, at, count, 0, np.int64, 5).T
-        stream, size = header & 0xFFFFFFFF, header >> 32
-        stream = stream.astype(np.int32).astype(np.int64)
-        if not count:
-            if self.table_position > self.data_start:
-                raise PayloadError("it is empty, but the file holds packets")
-            return True
-        # Offsets are those of the payload in DV, of the packet's header in jAER.
-        first = int(offset.min()) - self.data_start
-        if first == 0:
-            offset = offset + 8
-        order = np.argsort(offset, kind="stable")
-        ends = (offset + size)[order]
-        if first not in (0, 8) or np.any(
-                offset[order][1:] != ends[:-1] + 8) or ends[-1] != self.table_position:
-            raise PayloadError("its entries do not add up to the file")
-        if not np.isin(stream, list(self.streams)).all():
-            raise PayloadError("it names a stream that the header does not")
-        if np.any(number < 0):
-            raise PayloadError("it holds a negative number of elements")
-        if not (number.any() or start.any() or stop.any()):
+        rows = sorted(table_fields(payload, at, count, 0, np.int64, 5).tolist())
+        if rows and not any(map(any, (row[2:] for row in rows))):
             return False  # some writers fill in the places only
-        for i in order.tolist():
-            self.streams[int(stream[i])].entries.append(Entry(
-                int(stream[i]), int(offset[i]), int(size[i]), int(number[i]),
-                int(start[i]), int(stop[i])))
+        end = self.data_start
+        # Offsets are those of the payload in DV, of the packet's header in jAER.
+        header = 0 if rows and rows[0][0] == end else 8
+        for place, kind, number, start, stop in rows:
+            stream, size = kind & 0xFFFFFFFF, kind >> 32
+            if place != end + header:
+                raise PayloadError("its entries do not add up to the file")
+            if stream not in self.streams:
+                raise PayloadError("it names a stream that the header does not")
+            if number < 0:
+                raise PayloadError("it holds a negative number of elements")
+            self.streams[stream].entries.append(
+                Entry(stream, end + 8, size, number, start, stop))
+            end += 8 + size
+        if end != self.table_position:
+            raise PayloadError("its entries do not add up to the file" if rows else
+                               "it is empty, but the file holds packets")
         return True
 
     # Packets -------------------------------------------------------------------

@@ -152,22 +152,23 @@ class Cursor:
     def _events(self, number: int, *, final: bool) -> NDArray[Any]:
         if final:
             return self.clock.settled(self.clock.room(self._memory, 0), final=True)
-        packets, entries = [(number, *self._vector(number))], self._entries
-        while self._trusted and not self._strict and self.next % GROUP and (
-                self.next < len(entries)) and all(
-                (e.count or 0) <= SMALL for e in entries[self.next - 1:self.next + 1]):
-            number, self.next = self.next, self.next + 1
+        packets, entries = [], self._entries
+        if self._trusted and not self._strict:
+            group = entries[number:number - number % GROUP + GROUP]
+            if all(e.count <= SMALL for e in group):    # type: ignore[operator]
+                self.next = number + len(group)
+        for i in range(number, self.next):
             try:
-                packets.append((number, *self._vector(number)))
+                packets.append((i, *self._vector(i)))
             except PayloadError as error:
-                self._file.lost(entries[number], error)
+                self._file.lost(entries[i], error)
         state, jumps = self.clock.state, self.clock.jumps
         out = self.clock.room(self._memory, sum(count for *_, count in packets))
         for number, data, at, count in packets:
             bounds = self._neighbours(number) if self._trusted else self._possible(
                 _times(data, at, count))
-            _kernels.aedat4_events(np.frombuffer(data, np.uint8), at, count,
-                                   *self._size, self._jaer, *bounds, state, out)
+            _kernels.aedat4_events(data, at, count, *self._size, self._jaer, *bounds,
+                                   state, out)
         got = self.clock.settled(out)
         if self._strict and (state[OUTSIDE] or state[BACKWARD]):
             self._refuse(entries[number], np.ndarray((count,), _EVENT, data, at),
