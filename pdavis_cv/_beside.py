@@ -24,8 +24,8 @@ class Place:
     """The place of an output: a file, or a pipe or device that takes its bytes.
 
     A symbolic link is followed: the file that it names is replaced, the link stays.
-    What is neither a file, a pipe nor a character device is not written to, an OSError:
-    a disk or socket would be replaced by a file.
+    What is neither a file, a pipe nor a character device is refused by an OSError: a
+    disk or socket would be replaced by a file.
 
     `path` is as given; `takes_bytes` tells a pipe or device; `beside` is the path of
     the output in a folder for temporary files: the file's own folder, or for a pipe or

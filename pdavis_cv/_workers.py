@@ -54,7 +54,7 @@ class Begun(Generic[Result]):
 
 
 class Workers:
-    """Threads that do the parts of an image's work at the same time; of 1, the caller.
+    """Threads that do the parts of an image's work at the same time; one is the caller.
 
     This is faster because kernels release the GIL.  The work must give the same result
     however rows are grouped into bands, so that it does not depend on the number of

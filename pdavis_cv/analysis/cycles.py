@@ -213,7 +213,7 @@ def follow(
 ) -> PhaseLaw:
     """Find the phase of a load whose frequency is nearly known and may drift slowly.
 
-    Of signals, float64 (T, N), in at least 8 exposures with these middles, increasing,
+    Signals are float64 (T, N), of at least 8 exposures with these middles, increasing,
     and lengths, (T,), us.  `hz` is the frequency to 2 %, `reference_us` the time of
     phase 0.  The law has the lowest order, up to 3, that explains the signals.
     """

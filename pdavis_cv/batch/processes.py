@@ -34,7 +34,7 @@ class ProcessPool(ProcessPoolExecutor):
         self.close(at_once=kind is not None)
 
     def close(self, at_once: bool) -> None:
-        """End the processes, with `at_once` without waiting for the jobs in work."""
+        """End the processes; `at_once` without waiting for the jobs in work."""
         if at_once:
             self._parent_end.close()
         self.shutdown(wait=True, cancel_futures=at_once)

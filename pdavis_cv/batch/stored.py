@@ -41,7 +41,7 @@ class StoredResults(Results):
         return self._store / name
 
     def names(self) -> list[str]:
-        """Return the names of all jobs that have a marker, as `Results.names`."""
+        """Return the names of all jobs that have a marker, as `Results.names` does."""
         found = self._store.below()
         if not found:
             raise FileNotFoundError(

@@ -26,7 +26,7 @@ def is_ours(source: Any, backend: int, parameters: Parameters) -> bool:
     """Return whether a source is opened here and not by cv2.
 
     ``CAP_PDAVIS`` as backend says so, 0 leaves it to the source, others mean cv2.  Ours
-    are recordings and live sources, their addresses, and files with the name of a
+    are recordings and live sources, their addresses, files with the name of a
     recording, and several files; and, if `parameters` have a layout or a sensor, every
     path, which is then a mosaic video or image sequence.
     """

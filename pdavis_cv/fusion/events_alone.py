@@ -253,8 +253,8 @@ def _vertex(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
 class _Misfit:
     """Mean ln of the misfit of each macropixel, as a function of ln of the scale.
 
-    Of events of macropixels that lie side by side, in order of time, and of nominal
-    thresholds, (2, 2 n).
+    The events are of macropixels that lie side by side, in order of time; the nominal
+    thresholds are float64 (2, 2 n).
     """
 
     def __init__(

@@ -43,7 +43,7 @@ def _driver() -> Any:
 def listed() -> list[dict[str, str | None]]:
     """Return the DAVIS346 cameras that are plugged in.
 
-    Of each ``name``, ``serial``, ``connection`` and ``error``, the reason why a camera
+    Each has ``name``, ``serial``, ``connection`` and ``error``, the reason why a camera
     cannot be opened.
     """
     driver = _driver()

@@ -36,7 +36,7 @@ class HostClock:
     def saw(self, device_us: int, host_s: float) -> None:
         """Note that a sample with stamp device_us had arrived at host_s.
 
-        That is of a clock that never jumps, such as ``time.monotonic``.
+        `host_s` is of a clock that never jumps, such as ``time.monotonic``.
         """
         difference = host_s - device_us * 1e-6
         if self._now is None or host_s - self._since_s > self._window_s:

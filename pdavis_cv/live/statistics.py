@@ -36,7 +36,7 @@ class Patience:
     def spent(self, jumps: int, now_s: float) -> bool:
         """Tell whether to change to a cheaper method; if so, counting restarts.
 
-        Of the number of jumps of time so far, and the host's time, s.
+        `jumps` is the number of jumps of time so far, `now_s` the host's time, s.
         """
         new, self._known = jumps - self._known, jumps
         if self._first_s is None or now_s - self._first_s < SETTLING_S:

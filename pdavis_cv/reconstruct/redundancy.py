@@ -420,9 +420,9 @@ def null_of(
 ) -> NDArray[np.float32]:
     """Return weights with which a macropixel's intensities sum to 0 for any light.
 
-    Of the response in `EventRedundancy`.  The weights are float32 (H, W): the largest
-    of each macropixel is 1; 0 outside whole macropixels.  A response that does not tell
-    the channels apart is a ValueError.
+    The response is that of `EventRedundancy`; one that does not tell the channels apart
+    is a ValueError.  The weights are float32 (H, W): the largest of each macropixel is
+    1; 0 outside whole macropixels.
     """
     rows, columns = shape[0] // 2, shape[1] // 2
     null = np.zeros(shape, np.float32)

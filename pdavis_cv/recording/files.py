@@ -262,7 +262,7 @@ def _narrow(column: NDArray[Any]) -> NDArray[np.int32]:
 
 
 def microseconds(t: NDArray[Any], unit: float) -> NDArray[np.int64]:
-    """Return times of a unit in us.
+    """Return times, in units of so many us, in us.
 
     Those that no clock has are dropped when they are checked.
     """

@@ -52,8 +52,8 @@ def ordered_triggers(t: NDArray[np.int64], rising: NDArray[Any], after_us: int
                      ) -> tuple[NDArray[Any], int]:
     """Return external triggers in time order, and how many were left out.
 
-    Of times in us, and whether they are rising edges, (N,), those before `after_us` or
-    before an earlier one are left out.
+    `t` are their times, us, and `rising` tells which are rising edges, (N,).  Those
+    before `after_us`, or before an earlier one, are left out.
     """
     keep = t >= np.maximum(np.maximum.accumulate(t), after_us)
     out = np.empty(int(keep.sum()), TRIGGER_DTYPE)

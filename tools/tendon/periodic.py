@@ -112,7 +112,7 @@ def measure(
     args: argparse.Namespace, recording: Recording, frames: Frames, demosaic: str,
     regions: list[analysis.Roi], hz: float, reference_us: int,
 ) -> PeriodicLight:
-    """Fit the regions, whose mosaic is demosaiced so, then each pixel by ``frames``.
+    """Fit the regions, demosaiced as stated, then each pixel of ``frames``.
 
     `hz` is the load's frequency, `reference_us` the time of phase 0.
     """
