@@ -1,21 +1,6 @@
 """Errors and warnings; each error is also a subclass of the fitting builtin."""
 from pdavis_cv._text import MOST_TEXT, shown
 
-__all__ = [
-    "AnalysisWarning",
-    "CalibrationError",
-    "DamagedFileWarning",
-    "DeviceError",
-    "ExposureWarning",
-    "LayoutError",
-    "LayoutWarning",
-    "PdavisError",
-    "PdavisWarning",
-    "RecordingError",
-    "WeightsError",
-    "WindowWarning",
-]
-
 
 class PdavisError(Exception):
     """Base class of this library's errors."""

@@ -97,6 +97,13 @@ def test_every_public_name_comes_from_its_home():
             assert getattr(module, name) is value
 
 
+def test_only_doors_list_their_names(root):
+    listing = {path for room in ("pdavis_cv", "tools")
+               for path in (root / room).rglob("*.py")
+               if re.search(r"^__all__\b", path.read_text(), re.M)}
+    assert {path.name for path in listing} == {"__init__.py"}
+
+
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no 'fuze'; did you mean fuse"):
         pdavis_cv.fuze  # noqa: B018

@@ -16,8 +16,6 @@ from pdavis_cv.pixel.rows import (
 )
 from pdavis_cv.pixel.sample import Sampled
 
-__all__ = ["further_weights"]
-
 SHRINKS = (0.0, 0.02, 0.05, 0.1, 0.2)
 """Prior standard deviations of further weights, in thresholds: one is chosen."""
 

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.pixel.sample import Sampled
 
-__all__ = ["learned_frame_noise"]
-
 FRAMES, DEGREE = 5, 3
 """A cubic through five samples of a pixel leaves noise: light that frames can tell is
 smoother."""

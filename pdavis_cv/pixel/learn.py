@@ -25,8 +25,6 @@ from pdavis_cv.pixel.rows import (
 from pdavis_cv.pixel.sample import PixelSample, Sampled
 from pdavis_cv.pixel.silences import learned_silences, table_of
 
-__all__ = ["LearnedPixels", "Priors", "learn", "prior_model"]
-
 STARTS_US = range(-10_000, 14_000, 2000)
 """Clock offsets from which the fit starts, us: the likeliest two are followed."""
 

@@ -9,9 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CONTEXTS", "GAP_CLASSES", "LAGS_S", "RATIOS", "SAMPLES", "SHORT_US",
-           "PixelModel"]
-
 GAP_CLASSES, CONTEXTS, RATIOS = 5, 4, 5
 """Classes of the gap before an event; contexts and lengths of a silence after one."""
 

@@ -10,9 +10,6 @@ from pdavis_cv import _kernels
 from pdavis_cv.pixel.model import LAGS_S, SAMPLES, SHORT_US, PixelModel
 from pdavis_cv.pixel.sample import Sampled
 
-__all__ = ["Pairs", "Rows", "around_rows", "counts_at",
-           "fitted_noise", "linearized", "pairs_of", "robust", "thinned"]
-
 Floats = NDArray[np.float64]
 
 SPANS = (1, 3, 9)

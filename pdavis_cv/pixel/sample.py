@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from pdavis_cv._types import Events, State
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["PixelSample", "Sampled"]
-
 MAX_PIXELS, PATCH = 32_768, 8
 """Most pixels that are kept, in squares of this side: whole macropixels, most of whose
 neighbours are kept as well."""

@@ -11,8 +11,6 @@ from pdavis_cv import _kernels
 from pdavis_cv.pixel.model import CONTEXTS, RATIOS, PixelModel
 from pdavis_cv.pixel.sample import Sampled
 
-__all__ = ["learned_silences", "table_of"]
-
 # By look-ahead, us: E and B of (2c) by context and ratio.
 _TABLES = {
     0: (

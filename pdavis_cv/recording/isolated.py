@@ -31,8 +31,6 @@ from pdavis_cv.recording.limits import Limits
 from pdavis_cv.recording.members import Member, members_of
 from pdavis_cv.recording.options import SourceOptions
 
-__all__ = ["IsolatedRecording"]
-
 _MOST_TEXT = 16 << 20
 """Bytes of an answer beside its arrays."""
 _SECONDS, _BYTES_PER_S = 10, 1e6
@@ -42,7 +40,8 @@ _SERVE = ("import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
           "from pdavis_cv.recording.isolated_reader import serve; "
           "serve(*map(int, sys.argv[2:]))")
 _CLASSES: dict[str, Any] = {
-    **{name: getattr(pdavis_cv.errors, name) for name in pdavis_cv.errors.__all__},
+    **{name: kind for name, kind in vars(pdavis_cv.errors).items()
+       if isinstance(kind, type)},
     "TypeError": TypeError, "ValueError": ValueError, "UserWarning": UserWarning}
 
 

@@ -20,8 +20,6 @@ from pdavis_cv.recording.base import Packet, Problem, Recording
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.open import open_recording
 
-__all__ = ["serve"]
-
 _FULL = 2 << 20
 """Bytes of arrays from which packets are sent.  A choice."""
 _MORE_BYTES = 512 << 20

@@ -28,8 +28,6 @@ from pdavis_cv.recording.base import (
 )
 from pdavis_cv.sensor import Layout, Sensor
 
-__all__ = ["Room", "read", "receive", "send", "written"]
-
 _MADE: dict[str, Any] = {one.__name__: one for one in (
     ApsFrame, Layout, Packet, Problem, RecordingInfo, Sensor)}
 _FIELDS = {name: ApsFrame.__slots__ if kind is ApsFrame else [

@@ -44,8 +44,6 @@ from pdavis_cv.reconstruct.store import EventStore, as_bytes
 from pdavis_cv.reconstruct.stream_clock import NEVER, StreamClock
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["KalmanFilter"]
-
 LOOKAHEADS = {"buffered": 50_000, "causal": 0, "offline": 500_000}
 """How long after its time an image is made, us: events and frames up to then count."""
 

@@ -11,9 +11,6 @@ from pdavis_cv.pixel.model import SAMPLES, SHORT_US, PixelModel
 from pdavis_cv.reconstruct.frames import log_exposure, usable_samples
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["ANCHOR_DTYPE", "COURSE_DTYPE", "NODE_DTYPE", "SHOWN_DTYPE", "Waiting",
-           "between", "thresholds_of"]
-
 _COVARIANCES = 6    # of level and both gains: a triangle of 3 x 3
 
 NODE_DTYPE = np.dtype([

@@ -9,8 +9,6 @@ from pdavis_cv._types import State
 from pdavis_cv._workers import Workers
 from pdavis_cv.analyser import Analyser
 
-__all__ = ["LastingDegree"]
-
 FRAMES = 10
 """Memory of the mean and of its variance, frames: half a second of the paper's cameras.
 `lab/studies/lasting_degree.py` compares it with 5 and 20."""

@@ -16,8 +16,6 @@ from pdavis_cv.reconstruct.frames import log_exposure
 from pdavis_cv.reconstruct.redundancy import RATIO_SIGMA, EventRedundancy, null_of
 from pdavis_cv.recording.base import ApsFrame
 
-__all__ = ["VALID_VARIANCE", "Saturated"]
-
 VALID_VARIANCE = 0.25
 """An estimate is valid up to this variance of log intensity (ln^2), without the part
 that the uncertain lag adds.  Engineering choice: a sigma of 0.5 ln."""

@@ -30,9 +30,6 @@ from pdavis_cv.recording.files import ProblemLog, clock_text
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.search import Search
 
-__all__ = ["MAGIC", "MAX_HEADER", "MAX_PAYLOAD", "Aedat4File", "Entry", "Stream",
-           "decompressed", "parsed_header"]
-
 MAGIC = b"#!AER-DAT4.0\r\n"
 COMPRESSIONS = ("none", "LZ4", "LZ4_HIGH", "ZSTD", "ZSTD_HIGH")
 MAX_PAYLOAD = 128 << 20

@@ -28,8 +28,6 @@ from pdavis_cv.recording.timeline import (
     possible_range,
 )
 
-__all__ = ["FRAMES_UNDER_WAY", "Cursor"]
-
 _SAMPLE = 64
 """Bytes that an IMU sample takes while it is read; four of the file may name it."""
 FRAMES_UNDER_WAY = 3

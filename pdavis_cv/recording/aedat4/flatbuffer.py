@@ -9,8 +9,6 @@ from numpy.typing import DTypeLike, NDArray
 
 from pdavis_cv import _kernels
 
-__all__ = ["PayloadError", "Table", "root_table", "table_fields"]
-
 _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
 _I32 = struct.Struct("<i")

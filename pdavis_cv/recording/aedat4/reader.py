@@ -24,8 +24,6 @@ from pdavis_cv.recording.sequential import PiecewiseRecording
 from pdavis_cv.recording.timeline import NEVER, Marks, SegmentError, Timeline
 from pdavis_cv.sensor import Layout, Sensor
 
-__all__ = ["Aedat4Recording"]
-
 KINDS = ("EVTS", "FRME", "IMUS", "TRIG")
 MARK_PULLS = 64
 """Packets between two places where reading can resume without an index."""

@@ -11,20 +11,6 @@ from pdavis_cv.events import FAR
 from pdavis_cv.recording.aedat4.flatbuffer import PayloadError, Table, table_fields
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, ApsFrame
 
-__all__ = [
-    "FrameScale",
-    "RawFrame",
-    "UnknownFrameError",
-    "aps_frame",
-    "event_vector",
-    "exposure_times",
-    "imu_samples",
-    "raw_frame",
-    "scale_of",
-    "span",
-    "triggers",
-]
-
 MAX_EXPOSURE_US = 60_000_000
 """Longest exposure; a longer one is taken as damage."""
 

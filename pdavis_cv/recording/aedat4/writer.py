@@ -19,9 +19,6 @@ from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo, Source
 from pdavis_cv.recording.writer import RecordingWriter, info_of, source_text
 from pdavis_cv.sensor import Layout
 
-__all__ = ["EVENTS", "FRAMES", "IMU", "TRIGGERS", "Aedat4Writer", "StreamEncoder",
-           "write_aedat4"]
-
 EVENTS, FRAMES, IMU, TRIGGERS = range(4)
 _STREAMS = (("EVTS", "events", "Array of events (polarity ON/OFF)."),
             ("FRME", "frames", "Standard frame."),
