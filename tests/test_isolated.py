@@ -213,10 +213,13 @@ def test_errors_are_of_their_class(tmp_path):
         next(recording.packets())
 
 
-def test_a_process_that_dies_later_is_an_error(tmp_path):
+@pytest.mark.parametrize("dead", [False, True])
+def test_a_process_that_dies_later_is_an_error(tmp_path, dead):
     write_aedat4(tmp_path / "x.aedat4", small())
     with open_recording(tmp_path / "x.aedat4", isolated=True) as recording:
         os.kill(recording._process.pid, signal.SIGKILL)
+        if dead:
+            os.waitid(os.P_PID, recording._process.pid, os.WEXITED | os.WNOWAIT)
         with pytest.raises(RecordingError, match=r"died .SIGKILL"):
             recording.events()
 

@@ -96,6 +96,8 @@ class IsolatedRecording(Recording):
             self._memory = mmap.mmap(shared, most, prot=mmap.PROT_READ)
             hears, asks = os.pipe()
             answers, says = os.pipe()
+            # A process that died has not read all that closing would write to it.
+            stack.enter_context(contextlib.suppress(BrokenPipeError))
             self._asks = stack.enter_context(open(asks, "wb"))
             self._hears = stack.enter_context(open(answers, "rb"))
             path = [os.path.abspath(one) for one in sys.path]
