@@ -70,9 +70,26 @@ def floats(name: str, value: Any, dtype: DTypeLike = np.float64) -> NDArray[Any]
     """Return a copy as floats; raise TypeError if it holds anything but numbers."""
     try:
         return np.array(value, dtype)
-    except TypeError:
+    except (TypeError, ValueError, OverflowError):
         raise TypeError(f"{name} must be a number or an array of numbers, got "
                         f"{type(value).__name__}") from None
+
+
+def planes(name: str, value: Any, count: int) -> NDArray[np.float64]:
+    """Return a copy as floats; raise ValueError unless its first axis has `count`."""
+    array = floats(name, value)
+    if array.ndim < 1 or len(array) != count:
+        raise ValueError(f"{name} must be ({count}, ...), got shape {array.shape}")
+    return array
+
+
+def fitting(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return an array of a shape; raise ValueError if it cannot be broadcast to it."""
+    try:
+        return np.broadcast_to(array, shape)
+    except ValueError:
+        raise ValueError(
+            f"{name} must have shape {shape}, got {array.shape}") from None
 
 
 def real_number(value: object) -> float:

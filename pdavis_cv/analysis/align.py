@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._checks import floats
 from pdavis_cv.analysis.cycles import inflation
 from pdavis_cv.analysis.load import LoadTrace
 from pdavis_cv.errors import AnalysisWarning
@@ -97,7 +98,8 @@ def align_by_triggers(
         If pulses are missing and another match lies within the tolerance too, as with
         evenly spaced pulses; the standard error then covers it.
     """
-    ours, theirs = np.asarray(trigger_us, np.int64), np.asarray(trigger_s, np.float64)
+    ours, theirs = floats("trigger_us", trigger_us, np.int64), floats(
+        "trigger_s", trigger_s)
     for name, pulses in (("trigger_us", ours), ("trigger_s", theirs)):
         if pulses.ndim != 1 or not len(pulses):
             raise ValueError(f"{name} must hold at least one pulse, got none")
@@ -134,7 +136,7 @@ def align_by_triggers(
         warnings.warn(
             f"the pulses also match with an offset of {other:.3f} s in place of "
             f"{offset:.3f} s, as some are missing: space them unevenly",
-            AnalysisWarning, stacklevel=2)
+            AnalysisWarning, stacklevel=3)
         offset_se = float(np.hypot(np.nan_to_num(offset_se), other - offset))
     offset_se = float(np.hypot(offset_se, resolution_s / np.sqrt(12)))
     return Clock(
@@ -196,7 +198,7 @@ def align_by_correlation(
     """
     if sign not in (0, 1, -1):
         raise ValueError(f"sign must be 0, 1 or -1, got {sign!r}")
-    times, v = np.asarray(t_us, np.int64), np.asarray(values, np.float64)
+    times, v = floats("t_us", t_us, np.int64), floats("values", values)
     usable = np.isfinite(v)
     if times.shape != v.shape or np.count_nonzero(usable) < 16:
         raise ValueError("values must hold 16 finite samples, one per time")
@@ -247,7 +249,7 @@ def align_by_correlation(
         warnings.warn(
             f"an offset of {rival.offset_s:.3f} s fits nearly as well as "
             f"{best.offset_s:.3f} s: give a trigger, or the offset to expect",
-            AnalysisWarning, stacklevel=2)
+            AnalysisWarning, stacklevel=3)
         error = float(np.hypot(error, rival.offset_s - best.offset_s))
     return Clock(origin, best.offset_s, error, best.skew_ppm,
                  best.skew_se_ppm, "correlation", best.correlation)

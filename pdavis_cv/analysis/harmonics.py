@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv._checks import whole_number
+from pdavis_cv._checks import planes, whole_number
 from pdavis_cv.analyser import Analyser
 from pdavis_cv.analysis.cycles import PhaseLaw, design, noise_of
 from pdavis_cv.mosaic import demosaic
@@ -57,7 +57,8 @@ class Wave:
 
 def of_dolp(stokes: FloatArray) -> FloatArray:
     """Return the degree of linear polarization of S0, S1, S2, shape (3, ...)."""
-    return np.asarray(np.hypot(stokes[1], stokes[2]) / np.maximum(stokes[0], _LEAST_S0))
+    s0, s1, s2 = planes("stokes", stokes, 3)
+    return np.asarray(np.hypot(s1, s2) / np.maximum(s0, _LEAST_S0))
 
 
 def of_aop(stokes: FloatArray) -> FloatArray:
@@ -67,7 +68,8 @@ def of_aop(stokes: FloatArray) -> FloatArray:
     ----------
     stokes : ndarray of float64, shape (3, M, ...)
     """
-    polarized = stokes[1] + 1j * stokes[2]
+    _, s1, s2 = planes("stokes", stokes, 3)
+    polarized = np.atleast_1d(s1 + 1j * s2)
     middle = polarized.mean(0)
     return np.asarray((np.angle(polarized * middle.conj()) + np.mod(
         np.angle(middle), 2 * np.pi)) / 2)

@@ -10,7 +10,7 @@ import warnings
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv._checks import floats
+from pdavis_cv._checks import fitting, floats, planes, positive
 from pdavis_cv.errors import AnalysisWarning
 
 FloatArray = NDArray[np.float64]
@@ -52,11 +52,11 @@ def retardance(
         warnings.warn(
             f"{near} of {p.size} DoLP values exceed {_NEAR_WRAP}: retardance may have "
             "passed 90 degrees, where asin(DoLP) folds back", AnalysisWarning,
-            stacklevel=2)
+            stacklevel=3)
     if dolp_se is None:
         return delta, None
     slope = np.sqrt(np.maximum(1 - np.where(inside, p, 0) ** 2, 0))
-    error = np.asarray(dolp_se, np.float64)
+    error = fitting("dolp_se", floats("dolp_se", dolp_se), p.shape)
     se = np.divide(error, slope, out=np.full(p.shape, np.nan),
                    where=inside & (slope > 0))
     return delta, se
@@ -90,12 +90,10 @@ def birefringence(
     >>> float(birefringence(2 * np.pi, thickness_um=100, wavelength_nm=500))
     0.005
     """
-    for name, value in (("thickness_um", thickness_um),
-                        ("wavelength_nm", wavelength_nm)):
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"{name} must be positive, got {value!r}")
-    delta = np.asarray(retardance, np.float64)
-    return delta * (wavelength_nm * 1e-3) / (2 * np.pi * thickness_um)
+    thickness_um = positive("thickness_um", thickness_um)
+    wavelength_nm = positive("wavelength_nm", wavelength_nm)
+    return floats("retardance", retardance) * (wavelength_nm * 1e-3) / (
+        2 * np.pi * thickness_um)
 
 
 def subtract_background(
@@ -123,10 +121,7 @@ def subtract_background(
     ValueError
         If an array does not hold three planes.
     """
-    s, b = np.asarray(stokes, np.float64), np.asarray(background, np.float64)
-    for name, array in (("stokes", s), ("background", b)):
-        if array.ndim < 1 or array.shape[0] != 3:
-            raise ValueError(f"{name} must be (3, ...), got shape {array.shape}")
+    s, b = planes("stokes", stokes, 3), planes("background", background, 3)
     ratio = np.full((2, *b.shape[1:]), np.nan)
     np.divide(b[1:], b[:1], out=ratio, where=np.broadcast_to(b[:1] > 0, ratio.shape))
     out = np.empty(np.broadcast_shapes(s.shape, b.shape))

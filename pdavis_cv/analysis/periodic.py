@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv._checks import real_number
+from pdavis_cv._checks import floats, real_number
 from pdavis_cv.analysis.cycles import (
     LEAST_SEEN,
     PhaseLaw,
@@ -96,6 +96,8 @@ def fit_periodic(
     """
     if not 0 < (hz := real_number(hz)) <= _MOST_HZ:
         raise ValueError(f"hz must be positive and at most {_MOST_HZ:g}, got {hz!r}")
+
+    t_us = floats("t_us", t_us, np.int64).reshape(-1)
 
     def refused(reason: str) -> Periodic:
         return Periodic(PhaseLaw.steady(hz, reference_us), 0, 0, (),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._checks import fitting, floats
 from pdavis_cv.analysis.roi import Roi
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.sensor import Layout
@@ -50,6 +51,8 @@ def trace_hz(t_us: NDArray[np.int64], values: FloatArray) -> tuple[float, float]
     ValueError
         If fewer than 8 values are finite, or these are constant.
     """
+    values, t_us = floats("values", values), floats("t_us", t_us, np.int64)
+    fitting("t_us", t_us, (values.size,))
     known = np.isfinite(values)
     if np.count_nonzero(known) < 8:
         raise ValueError(
@@ -94,6 +97,8 @@ def event_hz(
     height, width = recording.info.sensor_size
     stop_us = min(stop_us, start_us + _MOST_BINS * _BIN_US)
     bins = (stop_us - start_us) // _BIN_US
+    if bins < 16:
+        return None
     side = max(_TILE, math.ceil(math.sqrt(height * width / _MOST_TILES)))
     columns = -(-width // side)
     tiles = -(-height // side) * columns
@@ -113,7 +118,7 @@ def event_hz(
             np.add.at(one, place, sign * weight[y, x])
     counts = total.reshape(-1, bins)
     counts = counts[np.any(counts, axis=1)]
-    if bins < 16 or not len(counts):
+    if not len(counts):
         return None
     hz, above = _peak(_power(counts - counts.mean(1, keepdims=True)), _BIN_US * 1e-6)
     return hz if above >= _STANDS_OUT else None

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._checks import fitting, floats, planes
 from pdavis_cv._types import Records
 from pdavis_cv.analysis.optics import subtract_background
 from pdavis_cv.analysis.roi import Roi
@@ -100,8 +101,10 @@ def region_statistics(
     """
     if estimate not in ("stokes", "pixels"):
         raise ValueError(f"estimate must be 'stokes' or 'pixels', got {estimate!r}")
-    s = np.asarray(stokes, np.float64)[:, valid]
-    intensity = np.asarray(quad, np.float64)[:, valid]
+    s, intensity = planes("stokes", stokes, 3), planes("quad", quad, 4)
+    valid = fitting("valid", np.asarray(valid, np.bool_), s.shape[1:])
+    fitting("quad", intensity, (4, *valid.shape))
+    s, intensity = s[:, valid], intensity[:, valid]
     usable = np.isfinite(s).all(0) & (s[0] > 0)
     s, intensity = s[:, usable], intensity[:, usable]
     n = s.shape[1]
@@ -318,5 +321,7 @@ def event_counts(
 
 def axial_difference(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     """Return a - b of two axial angles in radians, in [-pi/2, pi/2)."""
-    difference = np.asarray(a, np.float64) - np.asarray(b, np.float64)
+    a, b = floats("a", a), floats("b", b)
+    difference = a - fitting("b", b, a.shape) if a.ndim >= b.ndim else (
+        fitting("a", a, b.shape) - b)
     return np.asarray((difference + np.pi / 2) % np.pi - np.pi / 2)

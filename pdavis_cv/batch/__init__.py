@@ -5,6 +5,6 @@ A *job* is one recording, one set of options and one *work* (what is done with i
 `worker` does one job, in whatever process calls it; `results` stores what it returns;
 `pools` makes executors; `engine` distributes the jobs; `table` lists the results.
 """
-import lazy_loader
+from pdavis_cv._door import attached
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attached(__name__, __file__)

@@ -131,7 +131,7 @@ def run(
         table.write()
     except OSError as error:
         warnings.warn(f"{error.filename}: the table was not written: {error.strerror}",
-                      PdavisWarning, stacklevel=2)
+                      PdavisWarning, stacklevel=3)
     return table
 
 

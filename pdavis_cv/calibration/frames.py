@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._checks import fitting, floats
 from pdavis_cv.recording.base import ApsFrame, Recording
 
 _MAD = 1.4826
@@ -261,7 +262,8 @@ def flat_frame(
         If there is no frame, or the light is too dim for a measurement.
     """
     mean, n = mean_frame(frames_of(frames))
-    response = mean.mean if dark is None else mean.mean - dark
+    response = mean.mean if dark is None else mean.mean - fitting(
+        "dark", floats("dark", dark), mean.mean.shape)
     center = float(np.nanmedian(response))
     if not center > 1:
         raise ValueError(

@@ -1,4 +1,4 @@
 """Write images and series of images to files for other programs."""
-import lazy_loader
+from pdavis_cv._door import attached
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attached(__name__, __file__)

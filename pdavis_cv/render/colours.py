@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import real_number
+from pdavis_cv._checks import fitting, positive, real_number, whole_number
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.render.cyclic import even_hues, hsv_hues
 
@@ -33,6 +33,8 @@ MASKED = (96, 96, 96)
 FULL_COLOUR_DOLP = 0.25
 """DoLP from which on a faded AoP has its full colour; chosen for tissue and sky."""
 
+MOST_PIXELS = 8192
+"""Longest side of a picture that is drawn."""
 # matplotlib's viridis (CC0) at 16 intervals, RGB; interpolated, within 6 of 255.
 _VIRIDIS = np.array([
     (68, 1, 84), (72, 24, 106), (71, 45, 123), (66, 64, 134), (59, 82, 139),
@@ -192,10 +194,7 @@ def fade(
     TypeError, ValueError
         If a shape differs, or `picture` is none that can be written to.
     """
-    if picture.dtype != np.uint8:
-        raise TypeError(f"picture must be uint8, got {picture.dtype}")
-    if picture.ndim != 3 or picture.shape[2] != 3:
-        raise ValueError(f"picture must have shape (H, W, 3), got {picture.shape}")
+    checked_picture(picture)
     if picture.strides[1:] != (3, 1) or not picture.flags.writeable:
         raise ValueError(
             "picture must be writeable, the pixels of a row contiguous, got strides "
@@ -203,13 +202,27 @@ def fade(
     kept: NDArray[np.uint8] = (
         np.empty((0, 0), np.uint8) if valid is None
         else np.ascontiguousarray(valid, np.bool_).view(np.uint8))
+    plane = fitting("weight", one_plane("weight", weight), picture.shape[:2])
     _kernels.fade_bgr(
-        np.ascontiguousarray(weight, np.float32), kept, 1 / top, ground, picture)
+        np.ascontiguousarray(plane, np.float32), kept, 1 / positive("top", top), ground,
+        picture)
 
 
 def hatch(height: int, width: int) -> Picture:
     """Return a picture of pixels that are not valid, as in a legend."""
-    return grey_bgr(np.full((height, width), np.nan, np.float32), 1.0)
+    size = [whole_number(name, side, 0, MOST_PIXELS) for name, side in (
+        ("height", height), ("width", width))]
+    return grey_bgr(np.full(size, np.nan, np.float32), 1.0)
+
+
+def checked_picture(value: Any) -> Picture:
+    """Return a picture; raise TypeError or ValueError unless it is BGR of uint8."""
+    if not isinstance(value, np.ndarray) or value.dtype != np.uint8:
+        raise TypeError("picture must be uint8, got "
+                        f"{getattr(value, 'dtype', type(value).__name__)}")
+    if value.ndim != 3 or value.shape[2] != 3 or not value.size:
+        raise ValueError(f"picture must have shape (H, W, 3), got {value.shape}")
+    return value
 
 
 def one_plane(name: str, values: ArrayLike) -> NDArray[Any]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._checks import whole_number
 from pdavis_cv._opencv import opencv
 from pdavis_cv._types import Image
 from pdavis_cv.polarimetry import PolarFrame
@@ -109,6 +110,8 @@ def fan_sheet(
     ndarray of uint8, shape (H', W', 3)
         BGR of even size.
     """
+    if not rows:
+        raise ValueError("rows must be one or more, got none")
     sheets = []
     height, width = rows[0][1].shape
     style = DARK.sized(width * scale)
@@ -161,6 +164,7 @@ def tendon_sheet(
     ndarray of uint8, shape (H'', W'', 3)
         BGR of even size.
     """
+    scale = whole_number("scale", scale, 1, 64)
     colour = dolp_bgr(fused.dolp, fused.valid, top=top).repeat(
         scale, axis=0).repeat(scale, axis=1)
     name = str(fused.provenance.get("method", "fused"))

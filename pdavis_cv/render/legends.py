@@ -12,12 +12,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._checks import whole_number
 from pdavis_cv._opencv import opencv
 from pdavis_cv._types import Image
 from pdavis_cv.render.colours import (
     FULL_COLOUR_DOLP,
+    MOST_PIXELS,
     Picture,
     aop_bgr,
+    checked_picture,
     dolp_bgr,
     fade,
     grey_bgr,
@@ -80,6 +83,8 @@ def aop_legend(
         BGR; a pixel of the ring in direction a, seen from the middle of the bottom edge
         and counted counter-clockwise from the right, has the colour of AoP a.
     """
+    radius = whole_number("radius", radius, 1, MOST_PIXELS // 4)
+    background = whole_number("background", background, 0, 255)
     across, up, distance = _wheel_places(radius)
     picture = np.full((radius, 2 * radius, 3), background, np.uint8)
     ring = (distance <= radius) & (faded | (distance >= radius / 2))
@@ -117,6 +122,8 @@ def bar_legend(width: int, height: int, *, kind: str = "dolp") -> Picture:
     ndarray of uint8, shape (height, width, 3)
         BGR.
     """
+    width = whole_number("width", width, 1, MOST_PIXELS)
+    height = whole_number("height", height, 1, MOST_PIXELS)
     ramp = np.broadcast_to(np.linspace(0, 1, width), (height, width))
     return dolp_bgr(ramp) if kind == "dolp" else grey_bgr(ramp, 1.0)
 
@@ -149,6 +156,7 @@ def panel(
     ndarray of uint8, shape (H', W', 3)
         BGR; W' = scale * W, at least the width that title and legend need.
     """
+    picture, scale = checked_picture(picture), whole_number("scale", scale, 1, 64)
     if scale != 1:
         picture = picture.repeat(scale, axis=1).repeat(scale, axis=0)
     parts = [_line(title, style), picture]
@@ -183,8 +191,10 @@ def tile(
     ndarray of uint8, shape (H', W', 3)
         BGR; H' and W' are even, as video codecs require.
     """
-    height = max(picture.shape[0] for picture in pictures)
-    width = max(picture.shape[1] for picture in pictures)
+    columns = whole_number("columns", columns, 1, MOST_PIXELS)
+    gap = whole_number("gap", gap, 0, MOST_PIXELS)
+    height, width = (max(checked_picture(one).shape[axis] for one in some(pictures))
+                     for axis in (0, 1))
     rows = -(-len(pictures) // columns)
     columns = min(columns, len(pictures))
     gap *= style.zoom
@@ -220,7 +230,8 @@ def stack(
     ndarray of uint8, shape (H', W', 3)
         BGR; W' is the largest width.
     """
-    width = max(picture.shape[1] for picture in pictures)
+    gap = whole_number("gap", gap, 0, MOST_PIXELS)
+    width = max(checked_picture(picture).shape[1] for picture in some(pictures))
     height = sum(picture.shape[0] + gap for picture in pictures) - gap
     sheet = np.full((height, width, 3), style.ground, np.uint8)
     top = 0
@@ -228,6 +239,13 @@ def stack(
         sheet[top:top + picture.shape[0], :picture.shape[1]] = picture
         top += picture.shape[0] + gap
     return sheet
+
+
+def some(pictures: Sequence[Picture]) -> Sequence[Picture]:
+    """Return pictures; raise ValueError if there is none."""
+    if not len(pictures):
+        raise ValueError("pictures must be one or more, got none")
+    return pictures
 
 
 def even(picture: Image) -> Image:
@@ -245,6 +263,8 @@ def even(picture: Image) -> Image:
     ndarray
         The picture itself if both sides are even.
     """
+    if np.ndim(picture) not in (2, 3):
+        raise ValueError(f"picture must have two or three axes, got {np.ndim(picture)}")
     height, width, *rest = picture.shape
     if height % 2 == width % 2 == 0:
         return picture
@@ -279,8 +299,11 @@ def caption(picture: Picture, text: str, x: int, y: int, grey: int = 235,
         Width of the text in pixels.
     """
     cv2 = opencv()
-    cv2.putText(picture, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.42 * zoom,
-                (grey, grey, grey), zoom, cv2.LINE_AA)
+    zoom = whole_number("zoom", zoom, 1, 64)
+    x, y, grey = (whole_number(name, value, -MOST_PIXELS, MOST_PIXELS)
+                  for name, value in (("x", x), ("y", y), ("grey", grey)))
+    cv2.putText(checked_picture(picture), text, (x, y), cv2.FONT_HERSHEY_SIMPLEX,
+                0.42 * zoom, (grey, grey, grey), zoom, cv2.LINE_AA)
     return text_width(text, zoom)
 
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv._checks import MOST_SIDE, sensor_shape, whole_number
+from pdavis_cv._checks import MOST_SIDE, positive, sensor_shape, whole_number
 from pdavis_cv.events import as_events
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.render.colours import FULL_COLOUR_DOLP, Picture, fade
+from pdavis_cv.render.colours import FULL_COLOUR_DOLP, Picture, checked_picture, fade
 from pdavis_cv.render.legends import DARK, caption, text_width
 
 ON, OFF = (255, 255, 255), (0, 0, 0)
@@ -164,9 +164,9 @@ def scale_bar(picture: Picture, pixel_um: float, *, scale: int = 1) -> Picture:
     ValueError
         If ``pixel_um`` is not positive.
     """
-    if not (np.isfinite(pixel_um) and pixel_um > 0):
-        raise ValueError(f"pixel_um must be positive, got {pixel_um!r}")
-    picture = np.array(picture, order="C")
+    pixel_um = positive("pixel_um", pixel_um)
+    scale = whole_number("scale", scale, 1, 64)
+    picture = np.array(checked_picture(picture), order="C")
     height, width = picture.shape[:2]
     zoom = DARK.sized(width).zoom
     longest = width / 3 / scale * pixel_um

@@ -66,6 +66,8 @@ def colour_bgr(
     ndarray of uint8, shape (H, W, 3)
         BGR.
     """
+    if not frame.colours:
+        raise ValueError("frame must be of a colour sensor, got one without colours")
     parts = [grey_bgr(frame.colours[name].s0, white / gain, frame.valid,
                       saturated=saturated)
              for name, gain in zip(COLOURS, balance, strict=True)]
