@@ -85,6 +85,11 @@ def takes_bytes(path: Path) -> bool:
         folder == "/dev" and path.name in ("stdout", "stderr"))
 
 
+def no_link(path: str, flags: int) -> int:
+    """Open a file whose name others may know, as `open` does, unless it is a link."""
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+
+
 def sole(file: BinaryIO, path: Path) -> None:
     """Lock an open file until it is closed: no other process writes the same output.
 

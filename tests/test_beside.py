@@ -1,5 +1,6 @@
 """Files that appear under their name only when they are whole."""
 import gc
+import inspect
 import os
 import re
 import socket
@@ -13,7 +14,7 @@ import pytest
 
 from pdavis_cv import Aedat4Writer, Packet, PolarFrame, as_events
 from pdavis_cv._beside import Unfinished, sole, write_beside
-from pdavis_cv.export import NpzFile
+from pdavis_cv.export import NpyFile, NpzFile
 from pdavis_cv.export.stacks import StackFile
 from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.recording.davis import Orientation
@@ -210,6 +211,18 @@ def test_two_programs_do_not_write_the_same_stack_at_once(tmp_path):
 
 
 @POSIX
+@pytest.mark.parametrize("name", [".x.npy.unfinished", ".x.npy.unfinished.log"])
+@pytest.mark.parametrize("resume", [False, True])
+def test_a_link_under_the_name_of_an_unfinished_stack_is_not_followed(
+        tmp_path, name, resume):
+    (tmp_path / "other").write_text("kept")
+    (tmp_path / name).symlink_to("other")
+    with pytest.raises(OSError, match=r"symbolic links|ELOOP"):
+        NpyFile(tmp_path / "x.npy", ("s0",), resume=resume)
+    assert (tmp_path / "other").read_text() == "kept"
+
+
+@POSIX
 @pytest.mark.parametrize("resume", [False, True])
 def test_an_interrupt_at_any_line_of_opening_a_stack(tmp_path, resume):
     """Nothing is left, or with `resume` all images of the earlier run."""
@@ -235,8 +248,9 @@ def test_an_interrupt_at_any_line_of_opening_a_stack(tmp_path, resume):
         return interrupt
 
     def called(frame, *_):
-        ours = frame.f_code in (StackFile.__init__.__code__, sole.__code__,
-                                StackFile._continue.__code__)
+        ours = frame.f_code in (
+            inspect.unwrap(StackFile.__init__).__code__, sole.__code__,
+            StackFile._continue.__code__)
         return interrupt if ours else None
 
     while True:

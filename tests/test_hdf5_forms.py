@@ -116,7 +116,8 @@ def test_a_size_that_is_text_is_read_and_said(path, text):
         assert "taken as 346x260" in recording.problems[0].message
 
 
-@pytest.mark.parametrize("size", ["DAVIS", [260], "1x2x3"])
+@pytest.mark.parametrize(
+    "size", ["DAVIS", [260], "1x2x3", "-260x346", [260.5, 346], "0x5"])
 def test_a_size_that_is_not_two_numbers_is_asked_for(path, size):
     columns(path, some_events(200, (200, 300)))
     with h5py.File(path, "a") as file:
@@ -126,3 +127,16 @@ def test_a_size_that_is_not_two_numbers_is_asked_for(path, size):
         open_recording(path)
     with open_recording(path, sensor_size=(260, 346)) as recording:
         assert len(recording.events()) == 200
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_frames_without_as_many_times_are_said(path, count):
+    columns(path, some_events(200))
+    with h5py.File(path, "a") as file:
+        file["frame"] = np.zeros((5, *SIZE), "u1")
+        if count:
+            file["frame_ts"] = np.arange(count) * 1000
+    with open_recording(path) as recording:
+        assert sum(len(packet.frames) for packet in recording.packets()) == count
+        assert any(f"5 frames have {count} times" in p.message
+                   for p in recording.problems)

@@ -55,15 +55,19 @@ def test_an_interrupted_process_says_one_line_and_leaves_nothing(tmp_path, comma
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("lost", [False, True])
 @pytest.mark.parametrize("module", ["numpy", "numpy.linalg", "pdavis_cv._kernels"])
-def test_an_interrupt_while_modules_load_says_one_line(tmp_path, module):
+def test_an_interrupt_while_modules_load_says_one_line(tmp_path, module, lost):
     program = (  # jobs in the background are started deaf to SIGINT
         "import os, signal, sys\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "class Interrupt:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
         f"        if name == {module!r}:\n"
-        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "            try: os.kill(os.getpid(), signal.SIGINT)\n"
+        "            except KeyboardInterrupt:\n"
+        f"                if {lost}: raise ImportError('as modules in C') from None\n"
+        "                raise\n"
         "from pdavis_cv.tools.main import main\n"
         "sys.meta_path.insert(0, Interrupt())\n"
         "raise SystemExit(main())")

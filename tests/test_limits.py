@@ -2,6 +2,7 @@
 import bz2
 import contextlib
 import itertools
+import sqlite3
 import struct
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import pytest
 
 import pdavis_cv
 from pdavis_cv import Calibration, Limits, RecordingError, open_recording
+from pdavis_cv.recording.bag_writer import write_rosbag
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.packetise import Batch, packetise
@@ -151,6 +153,20 @@ def of_bag(path, compression=b"bz2"):
         number(0) + number(1)))
 
 
+def of_expression(path):
+    pytest.importorskip("rosbags")
+    events = np.zeros(9, pdavis_cv.EVENT_DTYPE)
+    write_rosbag(path, pdavis_cv.recording_from_arrays(events, sensor_size=(4, 4)))
+    with contextlib.closing(sqlite3.connect(path)) as file:
+        file.executescript("""
+            alter table messages rename to old;
+            create table messages(id integer primary key, topic_id int, timestamp int,
+                data blob generated always as (zeroblob(900000000)) virtual);
+            insert into messages(topic_id, timestamp) select topic_id, timestamp
+                from old;
+            drop table old;""")
+
+
 def of_hdf5(path):
     h5py = pytest.importorskip("h5py")
     with h5py.File(path, "w") as file:
@@ -164,6 +180,7 @@ BOMBS = {"zstd.aedat4": (of_zstd, "ratio"), "lz4.aedat4": (of_small_packets, "me
          "strip.tiff": (of_strip, "memory"),
          "header.npz": (of_header, "a header of 4294967295 bytes"),
          "columns.npz": (of_columns, "ratio"), "bz2.bag": (of_bag, "ratio"),
+         "expression.db3": (of_expression, "string or blob too big"),
          "lz4.bag": (lambda path: of_bag(path, b"lz4"), "memory"),
          "chunk.h5": (of_hdf5, "ratio")}
 READ = """
@@ -184,7 +201,8 @@ except pdavis_cv.RecordingError as error:
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells it")
 @pytest.mark.parametrize("name", [
-    name if name in ("zstd.aedat4", "chunk.png", "strip.tiff", "chunk.h5") else
+    name if name in ("zstd.aedat4", "chunk.png", "strip.tiff", "chunk.h5",
+                     "expression.db3") else
     pytest.param(name, marks=pytest.mark.gate) for name in BOMBS])  # long to make
 def test_a_bomb_is_refused_and_takes_no_memory(name, tmp_path):
     build, said = BOMBS[name]

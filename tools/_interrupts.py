@@ -23,16 +23,23 @@ def interruptible() -> Iterator[None]:
     Python calls a signal handler between any two bytecodes, also of a destructor or of
     a weak reference's callback, whose exceptions it can only report: a
     KeyboardInterrupt raised there would be printed and forgotten.  It is raised again
-    a moment later.
+    a moment later.  Modules in C that are being imported make an ImportError of it.
     """
+    _came.clear()
     with contextlib.ExitStack() as stack:
         if threading.current_thread() is threading.main_thread():
-            for number in _ENDING:
-                if signal.getsignal(number) is signal.SIG_DFL:  # nobody else's
+            for number in (signal.SIGINT, *_ENDING):
+                if signal.getsignal(number) in (    # nobody else's
+                        signal.SIG_DFL, signal.default_int_handler):
                     before = signal.signal(number, _raise)
                     stack.callback(signal.signal, number, before)
             stack.enter_context(_raised_again())
-        yield
+        try:
+            yield
+        except ImportError:
+            if _came:
+                raise KeyboardInterrupt from None
+            raise
 
 
 @contextlib.contextmanager
@@ -47,7 +54,12 @@ def ended_by_signals() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _raise(*_: Any) -> NoReturn:
+_came: list[int] = []
+"""Signals that raised KeyboardInterrupt in the block."""
+
+
+def _raise(number: int, _: Any) -> NoReturn:
+    _came.append(number)
     raise KeyboardInterrupt
 
 

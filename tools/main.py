@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 from collections.abc import Sequence
 
 from pdavis_cv import __version__
@@ -76,6 +77,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             f"no command {args.command!r}; "
             + (f"did you mean {near}? " if near else "")
             + f"there are {', '.join(COMMANDS)}, see pdavis --help")
+    # What its decoders say of a damaged file would stand between our lines.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     module = importlib.import_module(f"pdavis_cv.tools.{args.command}")
     result: int = module.main(args.arguments)
     return result

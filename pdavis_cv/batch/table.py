@@ -10,6 +10,7 @@ from string import Template
 from typing import Any
 
 import pdavis_cv
+from pdavis_cv._beside import write_beside
 from pdavis_cv.batch.results import DONE, Results
 from pdavis_cv.batch.stored import results_at
 from pdavis_cv.batch.worker import Row
@@ -122,7 +123,7 @@ class Table(Sequence[Row]):
         before, after = template.safe_substitute(
             columns="".join(f"<th>{html.escape(name)}</th>" for name in shown),
             count=len(self), version=pdavis_cv.__version__).split("$rows")
-        with open(path, "w", encoding="utf-8") as file:
+        with write_beside(path) as part, part.open("w", encoding="utf-8") as file:
             file.write(before)
             for row in self:
                 file.write(_html_row(row, self.cells(row, shown)))

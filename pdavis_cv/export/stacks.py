@@ -12,7 +12,7 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv._beside import Place, named, sole, write_beside
+from pdavis_cv._beside import Place, named, no_link, sole, write_beside
 from pdavis_cv.export.embedded import to_json
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import chosen
@@ -81,10 +81,11 @@ class StackFile(ABC):
         self._identity = hashlib.sha256(to_json(
             {**self.facts, "kind": type(self).__name__}).encode()).digest()
         try:
-            self._log: BinaryIO = self._log_path.open("ab", buffering=0)
+            self._log: BinaryIO = open(
+                self._log_path, "ab", buffering=0, opener=no_link)
             sole(self._log, self.path)
             if not (self.resume and self._continue()):
-                self._data: BinaryIO = self.unfinished.open("wb")
+                self._data: BinaryIO = open(self.unfinished, "wb", opener=no_link)
                 self._log.truncate(0)
                 self._log.write(self._identity)
         except BaseException:   # an interrupt may come at any of these lines
@@ -96,7 +97,7 @@ class StackFile(ABC):
     def _sole(self) -> bool:
         """Return whether no other process writes the same output."""
         try:
-            with self._log_path.open("ab") as log:
+            with open(self._log_path, "ab", opener=no_link) as log:
                 sole(log, self.path)
         except OSError:
             return False
@@ -127,7 +128,7 @@ class StackFile(ABC):
             self.shape = None
             return False
         self.times_us = [int(t) for t in known[2:2 + whole]]
-        self._data = self.unfinished.open("r+b")
+        self._data = open(self.unfinished, "r+b", opener=no_link)
         self._data.truncate(whole * self._image_bytes)
         self._data.seek(0, os.SEEK_END)
         self._log.truncate(32 + 16 + 8 * whole)

@@ -62,7 +62,8 @@ class Budget:
         self._first = 1 << 62
 
     @functools.cached_property
-    def _size(self) -> int:
+    def size(self) -> int:
+        """Bytes of the file, or of all files in a folder."""
         path = as_path(self._path)
         if not isinstance(path, RemotePath) and path.is_dir():
             return sum(one.stat().st_size for one in path.rglob("*"))
@@ -103,8 +104,8 @@ class Budget:
     def total(self, size: int) -> None:
         """Raise RecordingError if the file gives more bytes of samples than it may."""
         free = self._half
-        if size > free and size > self.limits.ratio * self._size + free:
-            raise self.over("ratio", f"samples of {size} bytes from {self._size}")
+        if size > free and size > self.limits.ratio * self.size + free:
+            raise self.over("ratio", f"samples of {size} bytes from {self.size}")
 
     def waiting(self, size: int) -> None:
         """Raise RecordingError if too much waits for samples of another stream."""
@@ -114,7 +115,7 @@ class Budget:
 
     def searched(self, size: int) -> None:
         """Raise RecordingError if one reading has searched too many bytes."""
-        if size > self.limits.work_per_byte * self._size + _LEAST_WORK:
+        if size > self.limits.work_per_byte * self.size + _LEAST_WORK:
             raise self.over("work_per_byte", f"{size} bytes searched for packets")
 
     def time(self, t_us: int) -> None:

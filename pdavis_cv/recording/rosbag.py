@@ -15,7 +15,7 @@ from contextvars import ContextVar
 from copy import deepcopy
 from itertools import count, islice
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import lz4.frame
 import numpy as np
@@ -49,6 +49,8 @@ HORIZON_US = 500_000
 """Longest time by which events and images of a bag may be out of order."""
 SIZES = 9
 """Number of messages whose most frequent size is taken as that of the sensor."""
+_LEAST = 1 << 20
+"""Bytes of a text that any database may make: a statement, a message in it."""
 _BUDGET: ContextVar[Budget | None] = ContextVar("budget", default=None)
 """Of the bag that rosbags reads just now."""
 EVENT_ARRAYS = frozenset(f"{package}/msg/EventArray" for package in (
@@ -91,9 +93,9 @@ def rosbags() -> tuple[Any, Any]:
 def _bound_decompressors() -> None:
     """Let the decompressors of rosbags draw on the budget of the bag that is read."""
     from rosbags.rosbag1 import reader as of_ros1
-    from rosbags.rosbag2 import reader, storage_mcap
+    from rosbags.rosbag2 import reader, storage_mcap, storage_sqlite3
 
-    of_ros2: Any = reader
+    of_ros2, of_sqlite = cast(Any, reader), cast(Any, storage_sqlite3)
 
     def bound(plain: Callable[..., bytes], kind: Callable[[], Any]) -> Any:
         def unpack(data: bytes, *size: int) -> bytes:
@@ -109,6 +111,15 @@ def _bound_decompressors() -> None:
             (storage_mcap.DECOMPRESSORS, "lz4", lz4.frame.LZ4FrameDecompressor),
             (storage_mcap.DECOMPRESSORS, "zstd", zstd.ZstdDecompressor)):
         table[name] = bound(table[name], kind)
+    if (apsw := getattr(of_sqlite, "apsw", None)) is not None:
+        def connect(*arguments: Any, **named: Any) -> Any:
+            # Columns may be expressions, whose values may be longer than the file.
+            found = apsw.Connection(*arguments, **named)
+            if (budget := _BUDGET.get()) is not None:
+                found.limit(apsw.SQLITE_LIMIT_LENGTH, max(budget.size, _LEAST))
+            return found
+
+        of_sqlite.apsw = SimpleNamespace(**vars(apsw) | {"Connection": connect})
     of_ros2.zstd = SimpleNamespace(
         open=zstd.open, decompress=bound(zstd.decompress, zstd.ZstdDecompressor))
 

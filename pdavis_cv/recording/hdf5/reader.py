@@ -253,7 +253,8 @@ class Hdf5Recording(PiecewiseRecording):
                 continue
             if isinstance(found, bytes | str):
                 text = found.decode("latin-1") if isinstance(found, bytes) else found
-                sides = [int(side) for side in re.findall(r"\d{1,9}", text)]
+                sides = [int(side) for side in re.findall(r"-?\d{1,9}", text)]
+                sides = [] if min(sides, default=0) < 1 else sides
                 if len(sides) == 2 and name == "geometry":  # of Metavision
                     return Fact((sides[1], sides[0]), FILE)
                 if len(sides) == 2:
@@ -263,7 +264,7 @@ class Hdf5Recording(PiecewiseRecording):
                     return Fact((height, width), ASSUMED)
             else:
                 sides = [int(side) for side in np.ravel(found)]
-                if len(sides) == 2:
+                if len(sides) == 2 and sides == np.ravel(found).tolist():
                     return Fact((sides[0], sides[1]), FILE)
             if options.size is None:
                 raise RecordingError(
@@ -412,15 +413,16 @@ class Hdf5Recording(PiecewiseRecording):
                     raw = self._frames.times
                 else:
                     stamps = self._dataset(self._file, "frame_ts", 1)
-                    if stamps is None:
-                        return []
-                    raw = stamps[()]
+                    raw = np.zeros(0) if stamps is None else stamps[()]
                 mids = microseconds(raw, _us_per_unit(raw))
                 rows = np.stack([self._extra(name, mids) for name in (
                     "exposure_start_us", "exposure_end_us", "available_us")], 1)
         except _LostError as error:
             self._damage("frame_ts", "the times of all frames", error)
             return []
+        if len(mids) != len(self._frames):
+            self._log.add("frame_ts", None, f"{len(self._frames)} frames have "
+                          f"{len(mids)} times: only so many of both are read")
         found: list[_Place] = []
         last = last_mid = NEVER
         for k, (start, end, ready) in enumerate(rows.tolist()[:len(self._frames)]):
