@@ -30,6 +30,7 @@ from . import (  # noqa: F401  # they register their cases
     network,
     simulate,
     streams,
+    turning,
     usb,
 )
 from .cases import CASES, Case, Comparison

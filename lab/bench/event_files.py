@@ -38,14 +38,16 @@ def _evt2(path: Path, events: NDArray[Any]) -> None:
                      + words.astype("<u4").tobytes())
 
 
-def write_evt3(path: Path, events: NDArray[Any]) -> None:
+def write_evt3(
+    path: Path, events: NDArray[Any], size: tuple[int, int] = SHAPE
+) -> None:
     """Write what changes from event to event; none of these has a neighbour."""
     t, x, y, p = (events[name].astype(np.int64) for name in "txyp")
     rows = np.stack([8 << 12 | t >> 12 & 0xFFF, 6 << 12 | t & 0xFFF, y,
                      2 << 12 | p << 11 | x], 1).astype("<u2")
     said = np.ones(rows.shape, bool)
     said[1:, :3] = rows[1:, :3] != rows[:-1, :3]
-    path.write_bytes(b"%% format EVT3;height=%d;width=%d\n%% end\n" % SHAPE
+    path.write_bytes(b"%% format EVT3;height=%d;width=%d\n%% end\n" % size
                      + rows[said].tobytes())
 
 

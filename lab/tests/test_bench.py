@@ -225,6 +225,15 @@ def test_streams_are_timed_by_packets_threads_and_pixels(monkeypatch, capsys):
     assert all(r["candidate"] > r["floor"] > 0 for r in report["results"])
 
 
+def test_a_second_behind_a_turning_analyser_is_timed(monkeypatch, capsys):
+    monkeypatch.setattr("lab.bench.turning.SIZE", (32, 64))
+    monkeypatch.setattr("lab.bench.turning.RATE", 100_000)
+    command.main(["turning", "--pairs", "2", "--json"])
+    [result] = json.loads(capsys.readouterr().out)["results"]
+    assert (result["goal"], result["input"]) == (8, "0.1 Mev, 50 images")
+    assert result["candidate"] > result["floor"] > 0
+
+
 def test_images_of_a_recording_are_timed_method_by_method(monkeypatch, capsys):
     monkeypatch.delenv("PDAVIS_TEST_DATA", raising=False)
     assert command.main(["image-recording", "--pairs", "2", "--json"]) == 0

@@ -50,6 +50,8 @@ _MOST_ANGLE = math.pi / math.sqrt(12)   # error of a random angle
 _LEAST_ROWS, _UNKNOWN, _UNSURE = 1.0, 0.1, 0.2
 """Least rows of a usable pixel, and its most errors of DoLP and AoP."""
 _LEAST_DET = 1e-20
+_BAND = 16384
+"""Pixels that are read at a time: what is computed of them stays in the cache."""
 
 
 class Polarization(NamedTuple):
@@ -247,23 +249,36 @@ class TurningRegression:
         return self._read(t)
 
     def _read(self, t: int) -> Polarization:
-        cell = self._cells
-        on, off = cell["on"], cell["off"]
+        found = Polarization(np.empty((4, *self.shape), np.float32),
+                             np.empty((3, *self.shape), np.float32),
+                             np.empty(self.shape, np.bool_))
+        rows = max(_BAND // self.shape[1], 1)
+        for first in range(0, self.shape[0], rows):
+            self._read_band(t, np.s_[first:first + rows], *found)
+        return found
+
+    def _read_band(self, t: int, rows: slice, quad: Plane, sigmas: Plane,
+                   valid: NDArray[np.bool_]) -> None:
+        """Read the polarization of some rows into that of all."""
+        cell, quad, sigmas = self._cells[rows], quad[:, rows], sigmas[:, rows]
+        s1, s2, on, off, sign, rest, *sums = _planes(cell, "s1", "n")
         theta = 0.5 * (on - 1 / on + off - 1 / off)
         floor = (_ROW_FLOOR * theta) ** 2
         age = np.maximum(t - cell["t"], 0).astype(np.float32)
         slow = _exp(age * (-0.5 / self._tau))
         gone = slow * slow
-        n, a11, a12, a22, b1, b2 = (
-            cell[name] * gone for name in ("n", "a11", "a12", "a22", "b1", "b2"))
+        for plane in (s1, s2, *sums):
+            plane *= gone
+        a11, a12, a22, b1, b2, yy, n = sums
         ridge = floor / _WIDE**2
         # No event in a whole period: a swing below one threshold.
-        silent = (age > self.half_us) & (cell["sign"] != 0)
+        silent = (age > self.half_us) & (sign != 0)
         ridge += silent * (floor / (_SILENT * theta) ** 2)
         q1, q2, _ = _solved(a11 + ridge, a12, a22 + ridge, b1, b2)
-        left = (cell["yy"] * gone - 2 * (q1 * b1 + q2 * b2) + q1 * q1 * a11
+        left = (yy - 2 * (q1 * b1 + q2 * b2) + q1 * q1 * a11
                 + 2 * q1 * q2 * a12 + q2 * q2 * a22)
-        ratio = np.where(n > 1, n / np.maximum(2 * n - 1, 1), 1)
+        ratio = np.maximum(n, 1)
+        ratio /= 2 * ratio - 1
         variance = (np.maximum(left, 0) + _PRIOR_ROWS * floor) / (
             np.maximum(n - 2 * ratio, 0) + _PRIOR_ROWS)
         ridge *= variance / floor
@@ -271,8 +286,8 @@ class TurningRegression:
         a22 += ridge
         q1, q2, det = _solved(a11, a12, a22, b1, b2)
         # What q lacked, on average, when its rows came.
-        d1 = (a22 * cell["s1"] - a12 * cell["s2"]) * gone * det
-        d2 = (a11 * cell["s2"] - a12 * cell["s1"]) * gone * det
+        d1 = (a22 * s1 - a12 * s2) * det
+        d2 = (a11 * s2 - a12 * s1) * det
         variance *= ratio * det
         degree = np.sqrt(q1 * q1 + q2 * q2)
         some = degree > 0
@@ -286,17 +301,17 @@ class TurningRegression:
         known = (n > _LEAST_ROWS) & (along < _UNKNOWN**2)
         # A common factor of the thresholds multiplies atanh of the degree.
         square = np.minimum(degree * degree, 1)
-        third, fifth, rest = _ATANH
+        third, fifth, seventh = _ATANH
         scale = degree * (1 - square) * (
-            1 + square * (third + square * (fifth + square * rest)))
-        sigmas = np.empty((3, *self.shape), np.float32)
+            1 + square * (third + square * (fifth + square * seventh)))
         sigmas[1] = np.sqrt(along + scale * scale * (
             cell["scale"] ** 2 + self.common_sigma**2))
         sigmas[2] = np.sqrt(across)
         sigmas[0] = np.minimum(0.5 * sigmas[2] / np.maximum(degree, 1e-9), _MOST_ANGLE)
-        half = 0.5 * _exp(self._dc + cell["rest"] * slow)
-        quad = half * np.stack([1 + q1, 1 + q2, 1 - q1, 1 - q2])
-        return Polarization(quad, sigmas, known & (sigmas[0] < _UNSURE))
+        half = 0.5 * _exp(self._dc[rows] + rest * slow)
+        for plane, part in zip(quad, (q1, q2, -q1, -q2), strict=True):
+            np.multiply(half, 1 + part, out=plane)
+        np.logical_and(known, sigmas[0] < _UNSURE, out=valid[rows])
 
 
 def _learned(
@@ -367,6 +382,14 @@ def _solved(
     q1, q2 = (a22 * b1 - a12 * b2) * det, (a11 * b2 - a12 * b1) * det
     shorter = np.reciprocal(np.sqrt(np.maximum(q1 * q1 + q2 * q2, 1)))
     return q1 * shorter, q2 * shorter, det
+
+
+def _planes(cells: Records, first: str, last: str) -> Plane:
+    """Return the float32 fields from one to another as planes, (N, H, W)."""
+    assert _CELL.fields is not None
+    begin, end = (_CELL.fields[name][1] // 4 for name in (first, last))
+    values = cells.view(np.float32).reshape(*cells.shape, -1)[..., begin:end + 1]
+    return np.ascontiguousarray(np.moveaxis(values, -1, 0))
 
 
 def _exp(x: NDArray[np.floating]) -> Plane:
