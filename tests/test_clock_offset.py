@@ -46,8 +46,7 @@ def test_an_offset_is_found_whatever_it_is(name, us):
     recording, _ = recorded(SCENES[name], size=(14, 14),
                             faults={"frame_offset_us": -us})
     found = learned_pixels(recording, nominal=NOMINAL)
-    # At 30 RPM, 5 ms are less than a degree, and the lag of the pixels looks alike:
-    # of seeds 3 to 10 the largest error is 4.1 ms.
+    # At 30 RPM, 5 ms are less than a degree, and the lag of the pixels looks alike.
     assert found.clock_offset_us == pytest.approx(
         us, abs=5000 if name == "30 RPM" else 1200)
 

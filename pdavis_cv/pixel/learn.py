@@ -28,6 +28,10 @@ from pdavis_cv.pixel.silences import learned_silences, table_of
 STARTS_US = range(-10_000, 14_000, 2000)
 """Clock offsets from which the fit starts, us: the likeliest two are followed."""
 
+CLOCK_STEP_US = 1000.0
+"""Half of the difference of times over which the derivative by the clock is taken, us:
+counts step where a rest ends, and their derivative over less is that of the steps."""
+
 ROUNDS = 5
 """Gauss-Newton steps; the fit ends earlier once nothing moves by a tenth of a sigma."""
 
@@ -43,9 +47,9 @@ BETTER_REST = 0.02
 LAG_OF_GAP = 0.035
 """Standard deviation of the lag of interpolated counts, in mean gaps between events."""
 
-EVIDENCE, EVIDENCE_OF_BLACK = 4.0, 25.0
+EVIDENCE, EVIDENCE_OF_BLACK, LOSS_OF_BLACK = 4.0, 25.0, 3.0
 """Fall of -2 ln posterior for which a number is taken that was not told: two standard
-errors; and five for a black level, which must also lower the loss of pairs by four: it
+errors; and five for a black level, which must also lower the loss of pairs by three: it
 makes up for much that is not modelled (2 to 3 DN/ms were found where none was)."""
 
 LEAST_WHOLE = 0.25
@@ -156,6 +160,7 @@ class _Fit:
     gains: Floats
     sigmas: Mapping[str, float]
     effect: float | None = None     # design effect, of the simplest model
+    of_gains: float = 0.0           # what gains add to -2 ln likelihood
     cost: float = math.inf          # -2 ln posterior
     per_row: float = math.inf       # -2 ln likelihood of a row
 
@@ -307,7 +312,8 @@ def _fitted(
              if abs(one.shift_us - starts[0].shift_us) > 3000]
     starts = [tried(one, (), 2) for one in [*starts[:1], *apart[:1]]]
     likeliest = min([first, *starts], key=lambda one: one.per_row)
-    effect = _effect(data, pairs, likeliest)
+    effect = _design_effect(_rows(
+        data, _past(data, likeliest.model), pairs, likeliest), likeliest.model)
     first, *starts = (tried(_changed(one, effect=effect), (), 0)
                       for one in (first, *starts))
     best, law = first, ["f0", "slope"]
@@ -315,7 +321,8 @@ def _fitted(
     clock = [name for name in ("shift", "lag") if name in numbers]
     slow = tried(first, [*lag, *law])
     light = float(np.median(pairs.dn / pairs.ms))
-    if slow.cost < best.cost - EVIDENCE and _slower(priors, slow.model, light):
+    if slow.cost < best.cost - EVIDENCE and _usual(
+            priors, slow.model, light, faster=0):
         best = slow
     for start in starts:
         other = tried(start, clock)
@@ -324,7 +331,7 @@ def _fitted(
             best = other
     used = clock if best.shift_us else lag
     other = tried(best, [*used, *law])
-    if other.cost < best.cost - EVIDENCE:
+    if other.cost < best.cost - EVIDENCE and _usual(priors, other.model, light):
         best = other
     if "black" in numbers:
         held = {"black": numbers["black"]}
@@ -334,13 +341,16 @@ def _fitted(
             _losses(data, pairs, one) for one in (best, other))
         gain = np.bincount(pairs.pair, np.where(steady, without - within, 0))
         enough = -1 if black else 1         # evidence against what was found before
-        clearly = gain.sum() > enough * EVIDENCE * math.sqrt(len(gain)) * gain.std()
+        sigma = math.sqrt(len(gain)) * gain.std()
+        clearly = gain.sum() > enough * LOSS_OF_BLACK * sigma
         if clearly and other.cost < best.cost - enough * EVIDENCE_OF_BLACK:
             best = other
     for rest in RESTS_S[1:]:
         other = tried(_with(best, rest_s=rest), (), 2)
         if other.per_row < best.per_row - BETTER_REST:
             best = other
+    best = tried(best, [*used, *(name for name in held if best.model.black)],
+                 among=every)
     sigmas = dict(_descended(data, pairs, priors, best, numbers, 1).sigmas)
     if "shift" in sigmas:
         # Of the lag of the photoreceptor and that of the clock, frames see the sum: the
@@ -356,11 +366,14 @@ def _fitted(
     return _honest(data, every, priors, best)
 
 
-def _slower(priors: Priors, model: PixelModel, light: float) -> bool:
-    """Whether photoreceptors are slower than usual, by four sigmas at most."""
+def _usual(
+    priors: Priors, model: PixelModel, light: float, faster: float = 4,
+) -> bool:
+    """Whether photoreceptors are slower, or faster, than usual by few sigmas."""
     usual, found = (law[0] + law[1] * light for law in (
         priors.bandwidth, model.bandwidth))
-    return 0 < found <= usual <= found * math.exp(4 * priors.bandwidth_sigma[0])
+    sigma = priors.bandwidth_sigma[0]
+    return found > 0 and -4 * sigma <= math.log(found / usual) <= faster * sigma
 
 
 def _spare_lag_us(priors: Priors, light: float) -> float:
@@ -404,15 +417,6 @@ def _losses(
     return 2 * (np.sqrt(1 + error) - 1), rows.blur < STEADY
 
 
-def _effect(data: Sampled, pairs: Pairs, fit: _Fit) -> float:
-    """Return the design effect at a fit."""
-    rows = _rows(data, _past(data, fit.model), pairs, fit)
-    residual, f = _residual(rows, fit.model), rows.feature[:, :2]
-    k, _ = robust(residual, rows.variance(fit.model))
-    return _design_effect(
-        f * (k * residual)[:, None], (f * k[:, None]).T @ f, pairs.pair)
-
-
 def _mean_gap(data: Sampled, pairs: Pairs, fit: _Fit) -> float:
     """Return the mean time in which a pixel that moves passes a threshold, us."""
     rows = _rows(data, _past(data, fit.model), pairs, fit)
@@ -424,10 +428,10 @@ def _numbers(priors: Priors, gap_us: float, pairs: Pairs) -> dict[str, _Number]:
     every: dict[str, _Number] = {}
     if priors.clock_us[1] > 0:
         every["shift"] = _Number(
-            *priors.clock_us, 300.0, 1500.0, lambda f: f.shift_us,
+            *priors.clock_us, CLOCK_STEP_US, 1500.0, lambda f: f.shift_us,
             lambda f, x: _changed(f, shift_us=x))
     every["lag"] = _Number(
-        0.0, LAG_OF_GAP * gap_us, 300.0, 1500.0, lambda f: f.lag_us,
+        0.0, LAG_OF_GAP * gap_us, CLOCK_STEP_US, 1500.0, lambda f: f.lag_us,
         lambda f, x: _changed(f, lag_us=x))
     if priors.black is None:
         ms = float(np.median(pairs.ms))
@@ -494,25 +498,25 @@ def _likelihood(
     """Return the fit with its costs."""
     variance = rows.variance(fit.model)
     residual = _residual(rows, fit.model)
-    k, cost = robust(residual, variance)
+    _, cost = robust(residual, variance)
     # Of ln DN: a larger black level makes all changes of ln(I + black) smaller.
     cost = cost + np.log(variance * rows.jacobian**2)
-    f = rows.feature[:, :2]
-    effect = fit.effect or _design_effect(
-        f * (k * residual)[:, None], (f * k[:, None]).T @ f, rows.pairs.pair)
+    effect = fit.effect or _design_effect(rows, fit.model)
     theta = np.array(priors.theta)
-    total = float(cost.sum()) / effect + float(
+    total = (float(cost.sum()) + fit.of_gains) / effect + float(
         (((fit.model.theta - theta) / (priors.theta_sigma * theta)) ** 2).sum())
     total += sum(((one.get(fit) - one.mean) / one.sigma) ** 2 for one in free.values())
-    return _changed(fit, cost=total, per_row=float(cost.mean()))
+    return _changed(fit, cost=total, per_row=(
+        float(cost.sum()) + fit.of_gains) / len(cost))
 
 
-def _design_effect(
-    score: Floats, information: Floats, pair: NDArray[np.int64],
-) -> float:
+def _design_effect(rows: Rows, model: PixelModel) -> float:
     """Return by how much errors that rows of a pair share exceed independent ones."""
-    number = int(pair.max()) + 1
-    total = np.stack([np.bincount(pair, each, number) for each in score.T], 1)
+    f, pair, residual = rows.feature[:, :2], rows.pairs.pair, _residual(rows, model)
+    k, _ = robust(residual, rows.variance(model))
+    number, information = int(pair.max()) + 1, (f * k[:, None]).T @ f
+    total = np.stack([
+        np.bincount(pair, k * residual * each, number) for each in f.T], 1)
     ridge = 1e-9 * np.trace(information) * np.eye(len(information))
     ratio = np.trace(np.linalg.solve(information + ridge, total.T @ total)) / len(
         information)
@@ -537,6 +541,8 @@ def _with_gains(rows: Rows, fit: _Fit, steps: int) -> _Fit:
         spread = math.sqrt(np.mean(
             (of_used - of_used.mean(1, keepdims=True)) ** 2
             + np.stack([c + inverse, a + inverse]) / det))
+    # Integrated over the gains: what they fit of the noise is no likelihood.
+    of_gains = float(inverse * (of_used**2).sum() + np.log(det / inverse**2).sum())
     # What all pixels have in common belongs to the thresholds.  No weights: those that
     # have most events have the lowest thresholds.
     mean = of_used.mean(1)
@@ -544,7 +550,8 @@ def _with_gains(rows: Rows, fit: _Fit, steps: int) -> _Fit:
     gains = np.zeros_like(fit.gains)
     gains[:, used] = of_used
     return _changed(_with(fit, spread=min(max(spread, 0.01), 0.3),
-                          theta=fit.model.theta * (1 + mean)), gains=gains)
+                          theta=fit.model.theta * (1 + mean)), gains=gains,
+                    of_gains=of_gains)
 
 
 def _step(
@@ -560,20 +567,20 @@ def _step(
         if name == "lag" and "shift" in free:
             columns.append(columns[-1])         # frames see the sum of both
             continue
-        other = one.put(fit, one.get(fit) + one.step)
-        there = _rows(data, past, pairs, other)
         # In ln DN, and back: a larger black level makes all residuals smaller.
-        slope = (residual * rows.jacobian - _residual(there, other.model)
-                 * there.jacobian) / rows.jacobian / one.step
+        ends = []
+        for way in (-1, 1):
+            other = one.put(fit, one.get(fit) + way * one.step)
+            there = _rows(data, past, pairs, other)
+            ends.append(_residual(there, other.model) * there.jacobian)
+        slope = (ends[0] - ends[1]) / rows.jacobian / (2 * one.step)
         columns.append(slope[:, None])
     # Counts have errors, which would attenuate the thresholds: their expectation given
     # the residual is taken off on one side of the normal equations.           (9)
     share = np.abs(rows.parts) / np.maximum(np.abs(rows.parts).sum(1), 1e-9)[:, None]
     noise = min(model.noise[1] / float(model.theta.mean()) ** 2, COUNT_NOISE)
     true = columns[0] + model.theta * noise * share * (residual * k)[:, None]
-    f = columns[0]
-    effect = fit.effect or _design_effect(
-        f * (k * residual)[:, None], (f * k[:, None]).T @ f, pairs.pair)
+    effect = fit.effect or _design_effect(rows, fit.model)
     a = np.concatenate(columns, 1)
     left = np.concatenate([true, *columns[1:]], 1) * k[:, None]
     values = [one.get(fit) for one in free.values()]
