@@ -30,13 +30,13 @@ from pdavis_cv.sensor import Layout, Sensor
 
 _MADE: dict[str, Any] = {one.__name__: one for one in (
     ApsFrame, Layout, Packet, Problem, RecordingInfo, Sensor)}
-_FIELDS = {name: ApsFrame.__slots__ if kind is ApsFrame else [
-    one.name for one in dataclasses.fields(kind)] for name, kind in _MADE.items()}
+_FIELDS = {name: [(one.lstrip("_"), one) for one in (
+    ApsFrame.__slots__ if kind is ApsFrame else
+    [one.name for one in dataclasses.fields(kind)])] for name, kind in _MADE.items()}
 _DTYPES = [EVENT_DTYPE, IMU_DTYPE, TRIGGER_DTYPE,
            *(np.dtype(one) for one in ("?", "u1", "u2", "u4", "i1", "i2", "i4", "i8",
                                        "f4", "f8"))]
-
-
+_NUMBERS = {dtype: number for number, dtype in enumerate(_DTYPES)}
 _SIZE = struct.Struct("<q")
 
 
@@ -127,22 +127,22 @@ def written(value: Any, room: Room, kept: list[NDArray[Any]]) -> bytes:
         If the arrays do not fit.
     """
     def plain(value: Any) -> Any:
-        if value is None or isinstance(value, bool | int | float | str):
+        if value is None or isinstance(value, (bool, int, float, str)):
             return value
+        if isinstance(value, np.ndarray):
+            at, array = room.put(value)
+            kept.append(array)
+            return {"array": [_NUMBERS[value.dtype], value.shape, at,
+                              value.flags.writeable]}
+        if (kind := type(value).__name__) in _MADE:
+            return {kind: {name: plain(getattr(value, field))
+                           for name, field in _FIELDS[kind]}}
         if isinstance(value, np.generic):
             return plain(value.item())
         if isinstance(value, list | tuple):
             return {type(value).__name__: [plain(one) for one in value]}
         if isinstance(value, Mapping):
             return {"dict": [[plain(name), plain(one)] for name, one in value.items()]}
-        if isinstance(value, np.ndarray):
-            at, array = room.put(value)
-            kept.append(array)
-            return {"array": [_DTYPES.index(value.dtype), value.shape, at,
-                              value.flags.writeable]}
-        if (kind := type(value).__name__) in _MADE:
-            return {kind: {name.lstrip("_"): plain(getattr(value, name))
-                           for name in _FIELDS[kind]}}
         return str(value)
 
     return json.dumps(plain(value)).encode()
