@@ -173,3 +173,23 @@ def test_mistakes_are_one_line(tmp_path, capsys):
         assert main([str(tmp_path / "in.npy"), str(tmp_path / out), *options]) == 2
         assert message in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["in.npy"]
+
+
+def test_a_large_group_of_parquet_is_read_in_parts(tmp_path, monkeypatch):
+    pytest.importorskip("pyarrow")
+    from pyarrow import Table, parquet as pq
+
+    from pdavis_cv.recording import parquet
+    monkeypatch.setattr(parquet, "_MOST_ROWS", 64)
+    t = np.arange(1000) * 1000
+    rows = {"t": t, "x": t % 14, "y": t % 12, "p": t % 2}
+    pq.write_table(Table.from_pydict(rows), tmp_path / "x.parquet", row_group_size=700)
+    with open_recording(tmp_path / "x.parquet") as recording:
+        column = recording._found()["t"]
+        for start, stop in ((0, 1000), (650, 750), (10, 20), (900, 999), (699, 701)):
+            np.testing.assert_array_equal(column.rows(start, stop), t[start:stop])
+            assert len(column._part[1]) <= 64
+        np.testing.assert_array_equal(recording.events()["t"], t)
+        one, two = recording.packets(), recording.packets(500_000)
+        found = [np.concatenate([p.events["t"] for p in each]) for each in (one, two)]
+        np.testing.assert_array_equal(found[1], found[0][500:])

@@ -2,7 +2,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 from pdavis_cv.recording.event_lists import NumpyRecording
 
+_MOST_ROWS = 1 << 22
+"""Rows that are read at once: most groups are smaller."""
 METADATA = "pdavis_cv"
 """Key of the table's metadata that holds the sensor's size and facts of the source."""
 
@@ -27,14 +30,16 @@ def pyarrow() -> tuple[Any, Any]:
 
 @dataclass
 class _Column:
-    """A column of a table, read in groups of rows."""
+    """A column of a table, read in groups of rows, large ones in parts."""
 
     table: Any
     name: str
     starts: NDArray[np.int64]
     kind: str
     shape: tuple[int]
-    _group: tuple[int, NDArray[Any] | None] = -1, None
+    _part: tuple[int, NDArray[Any]] = field(default_factory=lambda: (0, np.empty(0)))
+    _parts: Iterator[Any] = field(default_factory=lambda: iter(()))
+    _stop: int = 0
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -42,20 +47,30 @@ class _Column:
     def rows(self, start: int, stop: int, read: dict[Any, NDArray[Any]] | None = None
              ) -> NDArray[Any]:
         """Return rows start <= i < stop, fewer if a group cannot be read."""
-        parts, stop = [np.empty(0, np.int64)], min(stop, len(self))
+        found, stop = [np.empty(0, np.int64)], min(stop, len(self))
         while start < stop:
-            k = int(np.searchsorted(self.starts, start, "right")) - 1
-            cached, values = self._group
-            if cached != k or values is None:
-                try:
-                    values = self.table.read_row_group(k, [self.name])[0].to_numpy()
-                except (OSError, ValueError):   # pyarrow's own are derived from these
-                    break
-                self._group = k, values
-            first = int(self.starts[k])
-            parts.append(values[start - first:stop - first])
-            start = min(int(self.starts[k + 1]), stop)
-        return np.concatenate(parts[1:] or parts)
+            try:
+                first, values = self._with(start)
+            except (OSError, ValueError, StopIteration):    # pyarrow's are of these
+                break
+            found.append(values[start - first:stop - first])
+            start = min(first + len(values), stop)
+        return np.concatenate(found[1:] or found)
+
+    def _with(self, row: int) -> tuple[int, NDArray[Any]]:
+        """Return the first row of the part that holds a row, and its values."""
+        first, values = self._part
+        if not first <= row < self._stop:
+            k = int(np.searchsorted(self.starts, row, "right")) - 1
+            first, self._stop = self.starts[k:k + 2].tolist()
+            self._parts = self.table.iter_batches(
+                _MOST_ROWS, row_groups=[k], columns=[self.name])
+            values = values[:0]
+        while row >= first + len(values):
+            first, values = first + len(values), next(self._parts)[0].to_numpy(
+                zero_copy_only=False)
+        self._part = first, values
+        return self._part
 
 
 class ParquetRecording(NumpyRecording):
