@@ -26,7 +26,7 @@ def test_examples_in_docstrings_run(name):
         if missing.name is None or missing.name.startswith("pdavis_cv"):
             raise
         pytest.skip(f"{missing.name} is not installed")
-    if hasattr(module, "__path__"):     # it finds these again, in their modules
+    if hasattr(module, "__getattr__"):  # a door; they are tested in their own modules
         for one in [n for n in vars(module) if hasattr(vars(module)[n], "__wrapped__")]:
             delattr(module, one)
     results = doctest.testmod(module, optionflags=doctest.NORMALIZE_WHITESPACE)
