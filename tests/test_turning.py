@@ -413,6 +413,29 @@ def test_an_image_of_a_region_is_the_crop(few):
         part.dolp[0, ::16], whole.dolp[0, 32:96:16], atol=0.01)
 
 
+@pytest.mark.parametrize("options", [
+    {"analyser": TurningAnalyser(rpm=1200)}, {"analyser": TurningAnalyser()},
+    {"analyser": TurningAnalyser(rpm=1200), "causal": True, "roi": (32, 0, 64, 1)}])
+def test_a_capture_goes_to_any_image_exactly(few, options):
+    recording = as_recording(few)
+    images = list(pdavis_cv.fuse(recording, fps=10, **options))
+    cap = pdavis_cv.VideoCapture(recording, fps=10, **options)
+    assert (cap.get(7), cap.get(5), cap.get(3)) == (15, 10, images[0].shape[1])
+    seen = []
+    while cap.grab():
+        seen.append(cap.retrieve(flag=pdavis_cv.CAP_PDAVIS_AOP)[1])
+    np.testing.assert_array_equal(seen, [image.aop for image in images])
+    for i in (9, 3, 12):
+        assert cap.set(1, i)
+        assert cap.grab()
+        assert cap.get(0) == (images[i].t_us - images[0].t_us) / 1000
+        for name in ("DOLP", "S0"):
+            _, plane = cap.retrieve(flag=getattr(pdavis_cv, f"CAP_PDAVIS_{name}"))
+            np.testing.assert_array_equal(plane, getattr(images[i], name.lower()))
+    assert cap.retrieve(flag=pdavis_cv.CAP_PDAVIS_EVENTS_BGR)[0]
+    cap.release()
+
+
 def test_a_grid_of_images_has_a_length(few):
     images = pdavis_cv.fuse(as_recording(few), fps=10,
                             analyser=TurningAnalyser(rpm=1200))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv.fusion import Fusion, FusionSnapshot
 from pdavis_cv.fusion.grid import grid_count
+from pdavis_cv.fusion.turning import TurningFusion
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.reconstruct.base import nbytes
 from pdavis_cv.recording.base import Recording
@@ -45,9 +46,9 @@ class Cursor:
     it.
     """
 
-    fusion: Fusion
+    fusion: Fusion | TurningFusion
 
-    def __init__(self, fusion: Fusion) -> None:
+    def __init__(self, fusion: Fusion | TurningFusion) -> None:
         if not isinstance(fusion.recording, Recording):
             raise TypeError(
                 "a position needs a Recording, got a Source that is read once")

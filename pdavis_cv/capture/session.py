@@ -17,7 +17,8 @@ from pdavis_cv.capture.source import NAME_OF_PROPERTY, decoded_value, opened
 from pdavis_cv.capture.stream import LiveCursor
 from pdavis_cv.errors import PdavisError
 from pdavis_cv.fusion import Fusion
-from pdavis_cv.fusion.options import fusion_part
+from pdavis_cv.fusion.options import FusionOptions, fusion_part
+from pdavis_cv.fusion.turning import TurningFusion
 from pdavis_cv.live import Session as LiveSession
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
@@ -114,8 +115,10 @@ class Session:
         if self._owned:
             self.recording.close()
 
-    def _fusion(self, parameters: Parameters) -> Fusion:
-        return Fusion(self.recording, **fusion_part(parameters))
+    def _fusion(self, parameters: Parameters) -> Fusion | TurningFusion:
+        options = FusionOptions().replace(**fusion_part(parameters))
+        return (Fusion if options.analyser is None else TurningFusion)(
+            self.recording, options)
 
     def _made_tone(self, view: View) -> ToneCurve:
         white = picture.white_level(self.cursor.fusion.needs.frames, self._first)
@@ -176,7 +179,7 @@ class Session:
         until, after = self.cursor.t_us, self.cursor.previous_us
         if after is None:
             after = until - round(1e6 / (self.cursor.fps or 100.0))
-        step = 2 if fusion.provenance["demosaic"] in HALF_SIZE else 1
+        step = 2 if fusion.provenance.get("demosaic") in HALF_SIZE else 1
         parts = ([self.cursor.session.events(after, until)]
                  if isinstance(self.cursor, LiveCursor) else
                  (packet.events for packet in self._readable().packets(

@@ -95,7 +95,8 @@ class Fusion(Advises):
                 f"{type(recording).__name__}{how}")
         options = changed(FusionOptions, options, changes)
         if options.analyser is not None:
-            raise ValueError("analyser is an option of fuse() and pdavis export")
+            raise ValueError("analyser is an option of fuse(), of VideoCapture with a "
+                             "recording, and of pdavis export")
         info = recording.info
         check_times_fit(options, info)
         if info.demosaic:

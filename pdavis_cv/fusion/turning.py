@@ -1,6 +1,7 @@
 """Images of a camera behind a turning analyser: without a mosaic, from events alone."""
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Iterator
@@ -18,9 +19,11 @@ from pdavis_cv.calibration.thresholds import resolve_thresholds
 from pdavis_cv.fusion.feed import Feed
 from pdavis_cv.fusion.grid import grid_count, grid_us
 from pdavis_cv.fusion.options import FusionOptions
+from pdavis_cv.fusion.snapshot import FusionSnapshot
 from pdavis_cv.fusion.turning_speed import found_segments
 from pdavis_cv.fusion.window import Window, checked_roi
 from pdavis_cv.polarimetry import PolarFrame, adopted
+from pdavis_cv.reconstruct.base import Needs
 from pdavis_cv.reconstruct.turning import TurningRegression
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
 from pdavis_cv.turning import PulseClock, TurningAnalyser
@@ -37,8 +40,14 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
     """Iterate over the images that `fuse` makes with ``analyser=TurningAnalyser()``.
 
     Parameters are those of `TurningRegression`; `provenance` has software, options and
-    parameters that make the images.
+    parameters that make the images.  `index` is the number of the next image, `t_us`
+    the time of the last one.
     """
+
+    index: int
+    t_us: int | None
+    _frame_us: int | None
+    _steps: Iterator[int]
 
     def __init__(self, recording: Source, options: FusionOptions) -> None:
         default = FusionOptions()
@@ -46,7 +55,8 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
             if getattr(options, name) not in (None, getattr(default, name)):
                 raise ValueError(f"analyser excludes {name}")
         assert options.analyser is not None
-        self._recording, self._options = recording, options
+        self.recording, self._options = recording, options
+        self.needs = Needs(frames=recording.info.frame_count != 0)
         self._analyser: TurningAnalyser = options.analyser
         self._passes = options.causal or not isinstance(recording, Recording)
         if self._analyser.found and self._passes:
@@ -57,7 +67,9 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
         x, y, w, h = checked_roi(options.roi, size, "bilinear")
         self._window = Window(slice(y, y + h), slice(x, x + w), size)
         self.shape = h, w
-        self._fps = Fraction(options.fps or 100)
+        times, self.stop_us = options.times_us, options.stop_us
+        self.times_us = None if times is None else np.asarray(times, np.int64)
+        self.fps = Fraction(options.fps or 100) if times is None else None
         ratio = options.extinction_ratio
         self._ratio = None if isinstance(ratio, str) or ratio is None else float(ratio)
         assumed = []
@@ -74,62 +86,98 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
             "roi": (x, y, w, h),
             "source": str(recording.path) if recording.path else recording.info.format,
             "assumed": assumed})
-        self._images = self._made()
+        self._thresholds: tuple[Any, Any, float] | None = None
+        self.rewind()
 
     def __next__(self) -> PolarFrame:
-        return next(self._images)
+        if not self.advance():
+            raise StopIteration
+        return self.image()
 
     def __len__(self) -> int:
         """Return the number of all images, if options and the file's header tell it."""
-        if self._options.times_us is not None:
-            return np.size(self._options.times_us)
-        start, stop = self._options.start_us, self._recording.info.stop_us
-        start = self._recording.info.start_us if start is None else start
+        if self.times_us is not None:
+            return len(self.times_us)
+        start, stop = self._options.start_us, self.recording.info.stop_us
+        start = self.recording.info.start_us if start is None else start
         if start is None or stop is None:
             raise TypeError("TurningFusion has no length")
-        last = self._options.stop_us
-        stop = stop if last is None else min(stop, last)
-        return grid_count(stop - start, self._fps)
+        stop = stop if self.stop_us is None else min(stop, self.stop_us)
+        assert self.fps is not None
+        return grid_count(stop - start, self.fps)
 
     def close(self) -> None:
         """Do nothing: no thread has to end."""
 
-    def _made(self) -> Iterator[PolarFrame]:
-        method, feed = self._begun()
-        stop = math.inf if self._options.stop_us is None else self._options.stop_us
-        frame_us: int | None = None
+    # ---- as a Fusion, for a position among the images --------------------------
+
+    @functools.cached_property
+    def start_us(self) -> int | None:
+        """Time of the first image, None if there is none."""
+        return next(self._times(self._opened(self.recording.packets())), None)
+
+    def advance(self) -> bool:
+        """Take what the next image needs, which `image` makes; False at the end."""
+        t = next(self._steps, None)
+        if t is not None:
+            self.index, self.t_us = self.index + 1, t
+        return t is not None
+
+    def image(self) -> PolarFrame:
+        """Return the image that `advance` has passed."""
+        assert self.t_us is not None
+        found = self._method.polarization(self.t_us)
+        return adopted(
+            found.quad, valid=found.valid, t_us=self.t_us, frame_us=self._frame_us,
+            extinction_ratio=self._ratio, sigmas=found.sigmas,
+            provenance=self.provenance)
+
+    def rewind(self) -> None:
+        """Return to the position before the first image."""
+        self.index, self.t_us, self._frame_us, self._steps = 0, None, None, self._fed()
+
+    def snapshot(self) -> FusionSnapshot:
+        """Return the position."""
+        return FusionSnapshot(self.index, t_us=self.t_us)
+
+    def restore(self, snapshot: FusionSnapshot) -> None:
+        """Move to a position, to go back by reading everything before it again."""
+        if snapshot.index < self.index:
+            self.rewind()
+        while self.index < snapshot.index and self.advance():
+            pass
+
+    def _fed(self) -> Iterator[int]:
+        """Yield the time of each image when the method has what it needs."""
+        self._method, feed = self._begun()
+        stop = math.inf if self.stop_us is None else self.stop_us
         for t in self._times(feed):
             if t >= stop or not feed.reaches(t):
                 return
-            for item in feed.until(t + method.lookahead_us):
+            for item in feed.until(t + self._method.lookahead_us):
                 if not isinstance(item, ApsFrame):
-                    method.add_events(self._window.events(item))
+                    self._method.add_events(self._window.events(item))
                 elif not self._options.causal:  # there it follows events after it
-                    frame_us = item.mid_us
-                    method.add_frame(self._window.frame(item))
-            found = method.polarization(t)
-            yield adopted(
-                found.quad, valid=found.valid, t_us=t, frame_us=frame_us,
-                extinction_ratio=self._ratio, sigmas=found.sigmas,
-                provenance=self.provenance)
+                    self._frame_us = item.mid_us
+                    self._method.add_frame(self._window.frame(item))
+            yield t
 
     def _times(self, feed: Feed) -> Iterator[int]:
-        if self._options.times_us is not None:
-            yield from map(int, np.asarray(self._options.times_us))
+        if self.times_us is not None:
+            yield from self.times_us.tolist()
             return
         first, start = feed.first_us(), self._options.start_us
         start = first if start is None else start
-        if start is not None:
-            yield from (start + grid_us(k, self._fps) for k in itertools.count())
+        if start is not None and self.fps is not None:
+            yield from (start + grid_us(k, self.fps) for k in itertools.count())
 
     def _begun(self) -> tuple[TurningRegression, Feed]:
         """Find the angle, learn the thresholds, and open the stream."""
-        source, options = self._recording, self._options
+        source, options = self.recording, self._options
         packets = source.packets()
         segments: NDArray[np.float64] | PulseClock
         if self._analyser.found:
-            assert isinstance(source, Recording)
-            segments = found_segments(source, self._analyser.phase)
+            segments = self._found
         elif self._analyser.triggers is None:
             segments = self._analyser.segments()
         elif self._passes:
@@ -145,21 +193,27 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
             if options.thresholds is None or isinstance(options.thresholds, str)
             else _STATED_SIGMA, "centred": not self._passes, **options.parameters}
         if not self._passes and known.get("learn", True):
-            on, off, known["threshold_sigma"] = self._learned(on, off, known)
+            self._thresholds = self._thresholds or self._learned(on, off, known)
+            on, off, known["threshold_sigma"] = self._thresholds
         plane = self._window.plane
         return TurningRegression(self.shape, theta_on=plane(on), theta_off=plane(off),
                                  **known), self._opened(packets)
 
+    @functools.cached_property
+    def _found(self) -> NDArray[np.float64]:
+        assert isinstance(self.recording, Recording)
+        return found_segments(self.recording, self._analyser.phase)
+
     def _opened(self, packets: Iterator[Packet]) -> Feed:
-        info = self._recording.info
+        info = self.recording.info
         return Feed(packets, by_arrival=self._options.causal,
                     has_frames=info.frame_count != 0, stop_us=info.stop_us)
 
     def _learned(self, on: Any, off: Any, known: Parameters) -> tuple[Any, Any, float]:
         """Return the thresholds that the beginning shows, and their common error."""
         method = TurningRegression(
-            self._recording.info.sensor_size, theta_on=on, theta_off=off, **known)
-        feed, stop, count = self._opened(self._recording.packets()), None, 0
+            self.recording.info.sensor_size, theta_on=on, theta_off=off, **known)
+        feed, stop, count = self._opened(self.recording.packets()), None, 0
         for item in feed.until(None):
             if isinstance(item, ApsFrame) or not len(item):
                 continue

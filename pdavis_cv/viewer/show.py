@@ -222,6 +222,7 @@ class FileShow(Show):
     @property
     def fusion(self) -> Fusion:
         """What makes the images."""
+        assert isinstance(self._cursor.fusion, Fusion)
         return self._cursor.fusion
 
     def latest(self, after: int, timeout: float) -> tuple[int, PolarFrame | None]:
