@@ -16,6 +16,7 @@
 #define TURN 0.268              /* turn of a parabola after a gap of unknown pace */
 /* 3 - 2 sqrt 2: the turn that just reaches a threshold */
 #define EARLIEST_TURN 0.17157287525380990
+#define LEAST_LIVE 0.25         /* of the dead time, that a gap goes on after it */
 #define LEAST_GAP 1e-5
 #define LEAST_SILENCE 1e-6
 #define RESTS 2.5               /* rest times after which light is still */
@@ -88,13 +89,15 @@ PDAVIS_INLINE double goes_on(double gap, const camera_t *c)
     return left > 0.0 ? left / (1.0 - AT_REST) : 0.0;
 }
 
-/* Thresholds that an event stands for: light went on in the dead time.  (4) */
+/* Thresholds that an event stands for: light went on in the dead time.  (4)
+   What passed after it is at least LEAST_LIVE of it: noise would count without end. */
 PDAVIS_INLINE double weight_of(double before, int same, const camera_t *c)
 {
     double live = before - c->dead;
     if (!same || c->dead <= 0.0)
         return 1.0;
-    return 1.0 + c->dead / (live > c->dead ? live : c->dead);
+    live = live > LEAST_LIVE * c->dead ? live : LEAST_LIVE * c->dead;
+    return 1.0 + c->dead / live;
 }
 
 /* Change of light by an event after a gap, by its class. */

@@ -39,7 +39,7 @@ class Pixel:
             self.before.append(before)
             d, on = m.dead_s, int(sign > 0)
             # (4)
-            self.weight.append(1 + d / max(before - d, d) if same and d else 1.0)
+            self.weight.append(1 + d / max(before - d, d / 4) if same and d else 1.0)
             x = min(max(math.log(max(before, 1e-6) / 2e-3) / math.log(4), 0), 4 - 1e-6)
             i = int(x)
             step = m.theta[on] + (1 - x + i) * m.by_class[on, i] + (

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from truth_errors import errors_of
 
 from pdavis_cv import ApsFrame, _kernels, fuse
 from pdavis_cv.events import EVENT_DTYPE
@@ -58,6 +59,14 @@ def test_thresholds_and_clock_are_within_three_of_their_sigmas(rpm, dolp):
     assert abs(found.clock_offset_us + 3000) < 3 * found.sigmas["shift"]
     assert found.sigmas["shift"] < 1000
     assert found.model.black == 0
+
+
+def test_light_that_passes_in_the_dead_time_is_counted():
+    camera = Camera.preset("nominal", seed=1306, size=SIZE, dvs={"refractory_us": 1e3})
+    recording, truth = camera.record(RotatingPolarizer(rpm=1013.0), 1.5)
+    images = fuse(recording, method="kalman", fps=211, demosaic="superpixel",
+                  start_us=700_000, nominal_thresholds=(0.16, 0.18))
+    assert errors_of(images, truth).dolp < 0.08
 
 
 def test_a_black_level_is_found_where_there_is_one():

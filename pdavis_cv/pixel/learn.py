@@ -260,7 +260,7 @@ def _dead_time(data: Sampled) -> float:
     """Return the dead time that the shortest gaps show, s, or 0.
 
     Gaps to an event of the same and of the other sign must end at the same edge (light
-    that turns makes no short gap), and what is lost must matter.
+    that turns makes no short gap), known to a fifth, and what is lost must matter.
     """
     gap = 1e-6 * np.diff(data.events["t"])
     inside = np.ones(len(gap), np.bool_)
@@ -277,7 +277,7 @@ def _dead_time(data: Sampled) -> float:
     (edge, _), (of_other, error) = edges
     seconds = 1e-6 * float(data.t[-1] - data.t[0])
     rate = len(data.t) / seconds / max(int((np.diff(data.start) > 0).sum()), 1)
-    if edge > 5e-5 and edge * rate > 0.02 and (
+    if edge > 5e-5 and edge * rate > 0.02 and error < 0.2 * edge and (
             of_other - edge < 0.1 * edge + 3 * error):
         return float(edge)
     return 0.0
