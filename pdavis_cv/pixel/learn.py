@@ -349,8 +349,7 @@ def _fitted(
         other = tried(_with(best, rest_s=rest), (), 2)
         if other.per_row < best.per_row - BETTER_REST:
             best = other
-    best = tried(best, [*used, *(name for name in held if best.model.black)],
-                 among=every)
+    best = tried(best, used, among=every)
     sigmas = dict(_descended(data, pairs, priors, best, numbers, 1).sigmas)
     if "shift" in sigmas:
         # Of the lag of the photoreceptor and that of the clock, frames see the sum: the
