@@ -7,10 +7,10 @@ from typing import Any
 from pdavis_cv._types import State
 from pdavis_cv.fusion.learning import Learned, Learning
 
-FIRST_LOOK_S = 0.1
+FIRST_LOOK_S = 0.125
 """Time of the first estimate from a passing stream, in s of stream time after the first
-frame; the next ones follow at twice, four times ... that.  Two frames of the paper's
-cameras, 40 to 50 ms apart, are there by then: told thresholds may be wrong by half."""
+frame; the next ones follow at twice, four times ... that.  Engineering choice: three
+or four frames of the paper's cameras."""
 
 _DELAY = 1 / 8
 """An estimate from the first T seconds is applied after T / 8 more, as it is computed
