@@ -190,8 +190,8 @@ def prior_model(priors: Priors, lookahead_us: int) -> PixelModel:
     theta, table = np.array(priors.theta, np.float64), table_of(lookahead_us)
     return PixelModel(
         theta=theta, theta_cov=np.diag((priors.theta_sigma * theta) ** 2),
-        spread=SPREAD, bandwidth=priors.bandwidth, rest_s=RESTS_S[0], end=table[0],
-        bow=table[1],
+        spread=SPREAD, bandwidth=priors.bandwidth, rest_s=RESTS_S[0],
+        end=table[0], bow=table[1],
         black=0.0 if priors.black is None else priors.black[0])
 
 
@@ -316,18 +316,15 @@ def _fitted(
         data, _past(data, likeliest.model), pairs, likeliest), likeliest.model)
     first, *starts = (tried(_changed(one, effect=effect), (), 0)
                       for one in (first, *starts))
-    best, law = first, ["f0", "slope"]
-    lag = [name for name in ("lag",) if name in numbers]
-    clock = [name for name in ("shift", "lag") if name in numbers]
+    best, law, lag, clock = first, ["f0", "slope"], ["lag"], ["shift", "lag"]
     slow = tried(first, [*lag, *law])
     light = float(np.median(pairs.dn / pairs.ms))
-    if slow.cost < best.cost - EVIDENCE and _usual(
-            priors, slow.model, light, faster=0):
+    if slow.cost < best.cost - EVIDENCE and _usual(priors, slow.model, light, 0):
         best = slow
     for start in starts:
         other = tried(start, clock)
-        if other.cost < best.cost - EVIDENCE and not (
-                best is slow and abs(other.shift_us) < _spare_lag_us(priors, light)):
+        if other.cost < best.cost - EVIDENCE and (
+                abs(other.shift_us) > _spare_lag_us(priors, light)):
             best = other
     used = clock if best.shift_us else lag
     other = tried(best, [*used, *law])
