@@ -125,8 +125,16 @@ def threads_of_images():
             if thread.name.startswith("pdavis_cv-images")]
 
 
-def test_no_thread_is_left_at_the_end_or_when_nobody_goes_on(turning, threads_ended):
+@pytest.fixture
+def no_others():
+    """Let the threads of images that other tests dropped end."""
     gc.collect()
+    for thread in threads_of_images():
+        thread.join(PATIENCE_S)
+
+
+@pytest.mark.usefixtures("no_others")
+def test_no_thread_is_left_at_the_end_or_when_nobody_goes_on(turning, threads_ended):
     images = fuse(turning, threads=2, fps=100)
     assert not threads_of_images()
     next(images)
@@ -189,9 +197,9 @@ def test_a_source_that_is_read_once_is_not_read_ahead(turning):
         assert isinstance(images, ReadAhead) == (kind is ReadAhead)
 
 
+@pytest.mark.usefixtures("no_others")
 @pytest.mark.parametrize("options", [{}, {"causal": True}, {"mode": "offline"}])
 def test_two_threads_share_the_images_of_a_source(turning, options):
-    gc.collect()
     info = RecordingInfo(format="x", sensor_size=turning.info.sensor_size,
                          layout=Layout.PDAVIS)
 

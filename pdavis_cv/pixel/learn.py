@@ -321,10 +321,13 @@ def _fitted(
     light = float(np.median(pairs.dn / pairs.ms))
     if slow.cost < best.cost - EVIDENCE and _usual(priors, slow.model, light, 0):
         best = slow
+    # Frames see the sum of the clock's offset and of this lag, which may be longer by
+    # two sigmas of the corner: no less is taken for an offset.
+    told, spare = first.shift_us, _lag_us(priors.bandwidth, light) * math.expm1(
+        2 * priors.bandwidth_sigma[0])
     for start in starts:
         other = tried(start, clock)
-        if other.cost < best.cost - EVIDENCE and (
-                abs(other.shift_us) > _spare_lag_us(priors, light)):
+        if other.cost < best.cost - EVIDENCE and abs(other.shift_us - told) > spare:
             best = other
     used = clock if best.shift_us else lag
     other = tried(best, [*used, *law])
@@ -346,15 +349,14 @@ def _fitted(
         other = tried(_with(best, rest_s=rest), (), 2)
         if other.per_row < best.per_row - BETTER_REST:
             best = other
+    if abs(best.shift_us - told) < spare:
+        best, used = _changed(best, shift_us=told), lag
     best = tried(best, used, among=every)
     sigmas = dict(_descended(data, pairs, priors, best, numbers, 1).sigmas)
     if "shift" in sigmas:
-        # Of the lag of the photoreceptor and that of the clock, frames see the sum: the
-        # split is that of the prior.
-        corner = best.model.bandwidth[0] + best.model.bandwidth[1] * light
-        lag_us = 1e6 / (2 * math.pi * corner) if corner > 0 else 0.0
-        sigmas["shift"] = math.hypot(
-            sigmas["shift"], lag_us * priors.bandwidth_sigma[0])
+        # How the sum is split is the prior's.
+        sigmas["shift"] = math.hypot(sigmas["shift"], priors.bandwidth_sigma[0] * (
+            _lag_us(best.model.bandwidth, light)))
     # The lag belongs to the interpolation: the thresholds are fitted again without it.
     best = _descended(data, every, priors, _changed(best, lag_us=0.0), {}, 3,
                       steps=EM_STEPS)
@@ -362,9 +364,7 @@ def _fitted(
     return _honest(data, every, priors, best)
 
 
-def _usual(
-    priors: Priors, model: PixelModel, light: float, faster: float = 4,
-) -> bool:
+def _usual(priors: Priors, model: PixelModel, light: float, faster: float = 4) -> bool:
     """Whether photoreceptors are slower, or faster, than usual by few sigmas."""
     usual, found = (law[0] + law[1] * light for law in (
         priors.bandwidth, model.bandwidth))
@@ -372,10 +372,10 @@ def _usual(
     return found > 0 and -4 * sigma <= math.log(found / usual) <= faster * sigma
 
 
-def _spare_lag_us(priors: Priors, light: float) -> float:
-    """Return by how much light may lag more than usual: two sigmas of the corner."""
-    usual = priors.bandwidth[0] + priors.bandwidth[1] * light
-    return 1e6 / (2 * math.pi * usual) * math.expm1(2 * priors.bandwidth_sigma[0])
+def _lag_us(law: tuple[float, float], light: float) -> float:
+    """Return the lag of photoreceptors of a bandwidth in this light, us."""
+    corner = law[0] + law[1] * light
+    return 1e6 / (2 * math.pi * corner) if corner > 0 else 0.0
 
 
 def _honest(data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit) -> _Fit:
