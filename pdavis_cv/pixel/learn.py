@@ -321,8 +321,8 @@ def _fitted(
     light = float(np.median(pairs.dn / pairs.ms))
     if slow.cost < best.cost - EVIDENCE and _usual(priors, slow.model, light, 0):
         best = slow
-    # Frames see the sum of the clock's offset and of this lag, which may be longer by
-    # two sigmas of the corner: no less is taken for an offset.
+    # Frames see the sum of the clock's offset and the photoreceptors' lag.  That may be
+    # longer than usual by so much, at two sigmas: a smaller offset is not taken.
     told, spare = first.shift_us, _lag_us(priors.bandwidth, light) * math.expm1(
         2 * priors.bandwidth_sigma[0])
     for start in starts:
