@@ -80,6 +80,7 @@ SHARED = (
     "_samples.h",
     "_scenes.h",
     "_stencil.h",
+    "_turning.h",
     "_types.pxd",
     "_weighted.pxd",
 )

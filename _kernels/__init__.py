@@ -84,6 +84,6 @@ from ._scenes import (
     texture_stokes,
 )
 from ._simulate import pixel_events
-from ._turning import turning_events
+from ._turning import turning_events, turning_images
 
 __all__ = [name for name in dir() if name[0] != "_"]

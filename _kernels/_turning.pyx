@@ -6,7 +6,7 @@ q, as no level is needed (docs/theory/turning.md, in the same symbols).  A pixel
 holds the sums of its normal equations: those of q, which fade, and those of q with
 both thresholds, which stay.
 """
-from libc.stdint cimport int64_t
+from libc.stdint cimport int64_t, uint8_t
 
 from _kernels._math cimport exp_f
 from _kernels._types cimport event_t
@@ -22,40 +22,35 @@ cdef extern from "_prefetch.h" nogil:
     const Py_ssize_t AHEAD "PDAVIS_AHEAD"
     void prefetch_all "PDAVIS_PREFETCH_ALL"(const void*, size_t)
 
+cdef extern from "_turning.h" nogil:
+    const float LEAST_DET, ROW_FLOOR, WIDE
+    ctypedef struct cell_t "turning_cell_t":
+        double t
+        float s1, s2, on, off, sign, rest, a11, a12, a22, b1, b2, yy, n, scale
+        float c, s, l11, l12, l22, m1, m2, zz, n1, g1, h1, y1, n0, g0, h0, y0
+    ctypedef struct reading_t "turning_read_t":
+        double t
+        float half_us, decay, late, common
+    float solve "turning_solve"(float, float, float, float, float, float*, float*)
+    void turning_row(const reading_t*, const cell_t*, const float*, Py_ssize_t, float*,
+                     float*, float*, float*, float*, float*, float*, unsigned char*)
+
 cdef extern from *:
     """
     #define TWO_PI 6.283185307179586
     #define QUARTER 0.25f       /* a literal is a double to Cython */
-    #define LEAST_DET 1e-20f
     #define DARKEST 0.02f       /* of 1 + q: least intensity in a weight, relative */
     #define FEW 0.8f            /* most that an event fades those before it: where fewer
                                    than some five come in a window, it is longer */
     #define GUESS 0.0256f       /* weight of a row of the middle of a gap: its level is
                                    known to 0.25 thresholds, an event's to 0.04 */
-    #define ROW_FLOOR 0.02f     /* least error of an event's row, thresholds */
     #define MOST_ROWS 1024.0f   /* rows of the lasting sums, which then stay */
     #define RATIO 2             /* of the time constants of `rest` and of q */
     #define OUTLIER 0.25f       /* residual that halves a row's weight, thresholds */
-    #define WIDE 0.5f           /* of q where nothing is known of it */
     """
     const double TWO_PI
     const int RATIO
-    const float FEW, QUARTER, LEAST_DET, DARKEST, GUESS, ROW_FLOOR, MOST_ROWS, WIDE
-    const float OUTLIER
-
-cdef struct cell_t:      # 128 bytes without gaps
-    double t            # of the last event, us; -inf before the first
-    float c, s          # cos 2a, sin 2a then
-    float s1, s2        # fading sums of rows times their errors before they were added
-    float on, off       # exp of half the thresholds
-    float sign          # of the last event
-    float rest          # ln of what changed and is no modulation; it fades
-    float a11, a12, a22, b1, b2, yy, n                      # fading sums
-    float l11, l12, l22, m1, m2, zz                         # lasting sums
-    float n1, g1, h1, y1                                    # of ON rows
-    float n0, g0, h0, y0                                    # of OFF rows
-    float scale                                             # error of ln threshold
-
+    const float FEW, QUARTER, DARKEST, GUESS, MOST_ROWS, OUTLIER
 
 cdef inline float seen(float q1, float q2, float c, float s) noexcept nogil:
     """Return the intensity in units of S0/2, at least DARKEST."""
@@ -63,23 +58,9 @@ cdef inline float seen(float q1, float q2, float c, float s) noexcept nogil:
     return light if light > DARKEST else DARKEST
 
 
-cdef inline void solve(float a11, float a12, float a22, float b1, float b2,
-                       float* q1, float* q2) noexcept nogil:
-    """Solve for q, at most fully polarized."""
-    cdef float det = a11 * a22 - a12 * a12, length
-    det = 1 / (det if det > LEAST_DET else LEAST_DET)
-    q1[0] = (a22 * b1 - a12 * b2) * det
-    q2[0] = (a11 * b2 - a12 * b1) * det
-    length = q1[0] * q1[0] + q2[0] * q2[0]
-    if length > 1:
-        length = 1 / sqrtf(length)
-        q1[0] *= length
-        q2[0] *= length
-
-
 cdef inline void circle(double angle, float* cosine, float* sine) noexcept nogil:
     cdef double c, s
-    sincos_d(angle - TWO_PI * floor(angle / TWO_PI), &s, &c)
+    sincos_d(angle - TWO_PI * floor(angle * (1 / TWO_PI)), &s, &c)
     cosine[0] = <float>c
     sine[0] = <float>s
 
@@ -222,3 +203,35 @@ def turning_events(const event_t[::1] events not None, int64_t last,
         else:
             i = n
     return i
+
+
+def turning_images(const cell_t[:, ::1] cells not None, double t, float tau,
+                   float half_us, float late, float common,
+                   const float[:, ::1] level not None, float[:, :, ::1] quad not None,
+                   float[:, :, ::1] sigmas not None, uint8_t[:, ::1] valid not None):
+    """Write what cells tell at the time t: quad (4, h, w), sigmas (3, h, w), valid.
+
+    sigmas are those of AoP, DoLP and q across its direction.  half_us is half a turn,
+    late the part of the drift of q that is its error, common the relative error that
+    all thresholds have in common, level (h, w) what ln S0 is relative to.
+    """
+    cdef Py_ssize_t h = cells.shape[0], w = cells.shape[1], y
+    cdef reading_t now
+    now.t = t
+    now.half_us = half_us
+    now.decay = -1 / (RATIO * tau)
+    now.late = late
+    now.common = common
+    if (quad.shape[0] != 4 or sigmas.shape[0] != 3 or quad.shape[1] != h
+            or sigmas.shape[1] != h or valid.shape[0] != h or level.shape[0] != h
+            or quad.shape[2] != w or sigmas.shape[2] != w or valid.shape[1] != w
+            or level.shape[1] != w):
+        raise ValueError("turning_images: planes must be those of cells")
+    if w == 0:
+        return
+    with nogil:
+        for y in range(h):
+            turning_row(
+                &now, &cells[y, 0], &level[y, 0], w, &quad[0, y, 0], &quad[1, y, 0],
+                &quad[2, y, 0], &quad[3, y, 0], &sigmas[0, y, 0], &sigmas[1, y, 0],
+                &sigmas[2, y, 0], &valid[y, 0])

@@ -92,6 +92,7 @@ __all__ = [
     "texture_stokes",
     "tone_bgr",
     "turning_events",
+    "turning_images",
     "voxel",
     "voxel_planes",
 ]
@@ -378,3 +379,7 @@ def turning_events(
     events: NDArray[Any], last: int, cells: NDArray[Any], segments: _F64, tau: float,
     share: float,
 ) -> int: ...
+def turning_images(
+    cells: NDArray[Any], t: float, tau: float, half_us: float, late: float,
+    common: float, level: _F32, quad: _F32, sigmas: _F32, valid: NDArray[np.uint8],
+) -> None: ...

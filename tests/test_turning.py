@@ -258,6 +258,11 @@ def test_the_kernel_stops_at_the_first_bad_event(still):
     assert take(events[:0], 0, cells, method.segments, 1e4, 1.0) == 0
     with pytest.raises(ValueError, match="segments must be"):
         take(events, 0, cells, np.zeros((0, 3)), 1e4, 1.0)
+    planes = np.zeros((9, *cells.shape), np.float32)
+    with pytest.raises(ValueError, match="planes must be those of cells"):
+        _kernels.turning_images(
+            cells, 0.0, 1e4, 1e4, 0.5, 0.1, planes[0], planes[1:5], planes[5:8],
+            np.zeros((1, 1), np.uint8))
 
 
 # ---- the angle -----------------------------------------------------------------------

@@ -20,8 +20,8 @@ from pdavis_cv.turning import PulseClock
 Plane = NDArray[np.float32]
 
 _CELL = np.dtype([("t", "f8"), *((name, "f4") for name in (
-    "c s s1 s2 on off sign rest a11 a12 a22 b1 b2 yy n l11 l12 l22 m1 m2 zz "
-    "n1 g1 h1 y1 n0 g0 h0 y0 scale").split())])
+    "s1 s2 on off sign rest a11 a12 a22 b1 b2 yy n scale c s l11 l12 l22 m1 m2 zz "
+    "n1 g1 h1 y1 n0 g0 h0 y0").split())])
 """As ``cell_t`` of the kernel."""
 
 _FIRST_SPREAD, _OWN_SPREAD = 0.3, 0.06
@@ -42,16 +42,7 @@ _LONGEST_STEP = 0.2     # of ln threshold at once
 
 _ROW_FLOOR = 0.02       # least error of an event's row, thresholds
 _WIDE = 0.5             # of q where nothing is known of it
-_SILENT = 0.35          # of q after a period without events, thresholds: a swing, 2 q,
-                        # of up to one
-_PRIOR_ROWS = 1.0       # rows that say that the error is _ROW_FLOOR
-_ATANH = 1 / 3, 0.2, 0.35       # of atanh(x) / x; the last one for all that follow
-_MOST_ANGLE = math.pi / math.sqrt(12)   # error of a random angle
-_LEAST_ROWS, _UNKNOWN, _UNSURE = 1.0, 0.1, 0.2
-"""Least rows of a usable pixel, and its most errors of DoLP and AoP."""
 _LEAST_DET = 1e-20
-_BAND = 16384
-"""Pixels that are read at a time: what is computed of them stays in the cache."""
 
 
 class Polarization(NamedTuple):
@@ -195,16 +186,14 @@ class TurningRegression:
         """Estimate all thresholds from what the pixels have seen."""
         self._looks += 1
         known = self.common_sigma <= _COMMON or self._sigma < _FIRST_SPREAD
-        told = np.zeros(self.shape, np.uint8)
         seen = self._cells["n1"] + self._cells["n0"] >= _LEAST_LEARNT
         cells = self._cells[seen]
-        self._log_theta[:, seen], told[seen] = _learned(
-            cells, self._log_theta[:, seen], self._mean,
-            _OWN_SPREAD if known else _FIRST_SPREAD)
+        learned, told = _learned(cells, self._log_theta[:, seen], self._mean,
+                                 _OWN_SPREAD if known else _FIRST_SPREAD)
+        self._log_theta[:, seen] = learned
+        cells["on"], cells["off"] = _exp(_exp(learned) / 2)
         self._cells[seen] = cells
-        on, off = self._log_theta
-        self._cells["on"], self._cells["off"] = (
-            _exp(theta / 2) for theta in self.thresholds)
+        on, off = learned
         size, ratio = self._mean.mean(), None
         if np.count_nonzero(told) >= _STILL_PIXELS:
             ratio = float(np.median((on - off)[told > 0]))
@@ -252,66 +241,10 @@ class TurningRegression:
         found = Polarization(np.empty((4, *self.shape), np.float32),
                              np.empty((3, *self.shape), np.float32),
                              np.empty(self.shape, np.bool_))
-        rows = max(_BAND // self.shape[1], 1)
-        for first in range(0, self.shape[0], rows):
-            self._read_band(t, np.s_[first:first + rows], *found)
+        _kernels.turning_images(
+            self._cells, t, self._tau, self.half_us, self._late, self.common_sigma,
+            self._dc, found.quad, found.sigmas, found.valid.view(np.uint8))
         return found
-
-    def _read_band(self, t: int, rows: slice, quad: Plane, sigmas: Plane,
-                   valid: NDArray[np.bool_]) -> None:
-        """Read the polarization of some rows into that of all."""
-        cell, quad, sigmas = self._cells[rows], quad[:, rows], sigmas[:, rows]
-        s1, s2, on, off, sign, rest, *sums = _planes(cell, "s1", "n")
-        theta = 0.5 * (on - 1 / on + off - 1 / off)
-        floor = (_ROW_FLOOR * theta) ** 2
-        age = np.maximum(t - cell["t"], 0).astype(np.float32)
-        slow = _exp(age * (-0.5 / self._tau))
-        gone = slow * slow
-        for plane in (s1, s2, *sums):
-            plane *= gone
-        a11, a12, a22, b1, b2, yy, n = sums
-        ridge = floor / _WIDE**2
-        # No event in a whole period: a swing below one threshold.
-        silent = (age > self.half_us) & (sign != 0)
-        ridge += silent * (floor / (_SILENT * theta) ** 2)
-        q1, q2, _ = _solved(a11 + ridge, a12, a22 + ridge, b1, b2)
-        left = (yy - 2 * (q1 * b1 + q2 * b2) + q1 * q1 * a11
-                + 2 * q1 * q2 * a12 + q2 * q2 * a22)
-        ratio = np.maximum(n, 1)
-        ratio /= 2 * ratio - 1
-        variance = (np.maximum(left, 0) + _PRIOR_ROWS * floor) / (
-            np.maximum(n - 2 * ratio, 0) + _PRIOR_ROWS)
-        ridge *= variance / floor
-        a11 += ridge
-        a22 += ridge
-        q1, q2, det = _solved(a11, a12, a22, b1, b2)
-        # What q lacked, on average, when its rows came.
-        d1 = (a22 * s1 - a12 * s2) * det
-        d2 = (a11 * s2 - a12 * s1) * det
-        variance *= ratio * det
-        degree = np.sqrt(q1 * q1 + q2 * q2)
-        some = degree > 0
-        c = np.divide(q1, degree, out=np.ones_like(q1), where=some)
-        s = np.divide(q2, degree, out=np.zeros_like(q2), where=some)
-        both = 2 * a12 * c * s
-        along = np.maximum(variance * (a22 * c * c + a11 * s * s - both),
-                           (self._late * (d1 * c + d2 * s)) ** 2)
-        across = np.maximum(variance * (a22 * s * s + a11 * c * c + both),
-                            (self._late * (d2 * c - d1 * s)) ** 2)
-        known = (n > _LEAST_ROWS) & (along < _UNKNOWN**2)
-        # A common factor of the thresholds multiplies atanh of the degree.
-        square = np.minimum(degree * degree, 1)
-        third, fifth, seventh = _ATANH
-        scale = degree * (1 - square) * (
-            1 + square * (third + square * (fifth + square * seventh)))
-        sigmas[1] = np.sqrt(along + scale * scale * (
-            cell["scale"] ** 2 + self.common_sigma**2))
-        sigmas[2] = np.sqrt(across)
-        sigmas[0] = np.minimum(0.5 * sigmas[2] / np.maximum(degree, 1e-9), _MOST_ANGLE)
-        half = 0.5 * _exp(self._dc[rows] + rest * slow)
-        for plane, part in zip(quad, (q1, q2, -q1, -q2), strict=True):
-            np.multiply(half, 1 + part, out=plane)
-        np.logical_and(known, sigmas[0] < _UNSURE, out=valid[rows])
 
 
 def _learned(
@@ -382,14 +315,6 @@ def _solved(
     q1, q2 = (a22 * b1 - a12 * b2) * det, (a11 * b2 - a12 * b1) * det
     shorter = np.reciprocal(np.sqrt(np.maximum(q1 * q1 + q2 * q2, 1)))
     return q1 * shorter, q2 * shorter, det
-
-
-def _planes(cells: Records, first: str, last: str) -> Plane:
-    """Return the float32 fields from one to another as planes, (N, H, W)."""
-    assert _CELL.fields is not None
-    begin, end = (_CELL.fields[name][1] // 4 for name in (first, last))
-    values = cells.view(np.float32).reshape(*cells.shape, -1)[..., begin:end + 1]
-    return np.ascontiguousarray(np.moveaxis(values, -1, 0))
 
 
 def _exp(x: NDArray[np.floating]) -> Plane:
