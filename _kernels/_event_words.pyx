@@ -79,7 +79,8 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
     """Decode EVT2 words from begin on while out has room; return how far.
 
     stream and state are kept from call to call.  External triggers are written to the
-    first stream[7] rows of triggers: time, and 1 for a rising edge; decoding also ends
+    first stream[7] rows of triggers: time, and twice the channel, plus 1 for a rising
+    edge; decoding also ends
     where these are full.
     """
     cdef Py_ssize_t i = begin, n = words.shape[0], room = out.shape[0], after
@@ -118,7 +119,7 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
                         width, s)
             elif kind == 10:
                 t = stream[LOOPS] + (max(stream[HIGH], 0) << 6 | (word >> 22 & 0x3F))
-                if not trigger(t, word & 1, triggers, &stream[0]):
+                if not trigger(t, word >> 7 & 0x3E | word & 1, triggers, &stream[0]):
                     break
             i += 1
     return i
@@ -230,7 +231,7 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
                 at[COLUMN] = word & 0x7FF
                 at[POLARITY] = word >> 11 & 1
             elif kind == 10:
-                if not trigger(at[TIME], word & 1, triggers, at):
+                if not trigger(at[TIME], word >> 7 & 0x1E | word & 1, triggers, at):
                     break
             i += 1
     for k in range(STATE):

@@ -143,7 +143,7 @@ def right_times(words, version, before):
 def words(pieces, version, height, width):
     """Decode pieces of words of EVT2 or EVT3.
 
-    Returns the events, and the triggers as (time, whether rising).
+    Returns the events, and the triggers as (time, whether rising, channel).
     """
     triggers = []
     loops, high, low, before = 0, None, 0, None
@@ -163,8 +163,9 @@ def words(pieces, version, height, width):
                 base = (loops << span) + value << (6 if version == 2 else 12)
             elif kind == 10:
                 if high is not None:
-                    triggers.append((base + (word >> 22 & 63 if version == 2 else low),
-                                     word & 1))
+                    triggers.append((
+                        base + (word >> 22 & 63 if version == 2 else low), word & 1,
+                        word >> 8 & (31 if version == 2 else 15)))
             elif version == 2 and kind in (0, 1) and high is not None:
                 taken.add(base + (word >> 22 & 63), word >> 11 & 2047, word & 2047,
                           kind)

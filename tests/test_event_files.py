@@ -158,7 +158,7 @@ def test_words_equal_their_twin(version):
     words[7::50] = (8 << bits | times).astype(words.dtype)
     pieces = np.array_split(words, 7)
     for size in (SIZE, (12, 16)):
-        stream, state = WordStream(version, size), np.zeros(7, np.int64)
+        stream, state = WordStream(version, size, channel=6), np.zeros(7, np.int64)
         got, triggers = [], []
         for piece in pieces:
             out, state[0] = np.empty(stream.room(piece), EVENT_DTYPE), 0
@@ -167,7 +167,8 @@ def test_words_equal_their_twin(version):
             triggers += map(tuple, stream.triggers.tolist())
         expected, found = reference.words(pieces, version, *size)
         assert got == expected
-        assert triggers == found
+        assert triggers == [(t, rising) for t, rising, on in found if on == 6]
+        assert 20 < len(triggers) == len(found) - stream.other_triggers
         assert len(found) > 256     # more than fit into the memory of one call
         assert len(expected) > (10 if size == SIZE else -1)
 
@@ -312,24 +313,30 @@ def test_what_is_no_recording_is_refused_by_name(tmp_path, data, message):
         open_recording(tmp_path / "x.raw")
 
 
+@pytest.mark.parametrize("channel", [0, 6])
 @pytest.mark.parametrize("make", [evt2_file, evt21_file, evt3_file])
-def test_triggers_come_with_the_events(tmp_path, make):
+def test_triggers_come_with_the_events(tmp_path, make, channel):
     events = some_events(1000)
     data = make(events, SIZE)
     head, t = data.index(b"% end\n") + 6, int(events["t"][0])
+    on, other = channel << 8, 3 << 8
     # After the upper bits of the first event's time, before anything else.
     rising, falling = {
-        evt2_file: ([10 << 28 | 5 << 22 | 1, 10 << 28 | 6 << 22], "<u4"),
-        evt21_file: ([10 << 28 | 5 << 22 | 1, 0, 10 << 28 | 6 << 22, 0], "<u4"),
-        evt3_file: ([6 << 12 | t & 0xFC0 | 5, 10 << 12 | 1,
-                     6 << 12 | t & 0xFC0 | 6, 10 << 12], "<u2")}[make]
+        evt2_file: ([10 << 28 | 5 << 22 | on | 1, 10 << 28 | 5 << 22 | other,
+                     10 << 28 | 6 << 22 | on], "<u4"),
+        evt21_file: ([10 << 28 | 5 << 22 | on | 1, 0, 10 << 28 | 5 << 22 | other, 0,
+                      10 << 28 | 6 << 22 | on, 0], "<u4"),
+        evt3_file: ([6 << 12 | t & 0xFC0 | 5, 10 << 12 | on | 1, 10 << 12 | other,
+                     6 << 12 | t & 0xFC0 | 6, 10 << 12 | on], "<u2")}[make]
     at = head + {evt2_file: 4, evt21_file: 8, evt3_file: 2}[make]
     words = np.array(rising, falling).tobytes()
     (tmp_path / "x.raw").write_bytes(data[:at] + words + data[at:])
-    with open_recording(tmp_path / "x.raw") as recording:
+    with open_recording(tmp_path / "x.raw", trigger_channel=channel) as recording:
         assert recording.info.trigger_count is None
         found, _, _, triggers = joined(recording.packets())
         assert recording.scan().trigger_count == 2
+        problem, = recording.problems
+        assert (problem.kind, problem.count) == ("other triggers", 1)
     assert triggers.tolist() == [(t & ~63 | 5, 1), (t & ~63 | 6, 2)]
     np.testing.assert_array_equal(found, events[events["t"] >= t & ~63 | 6])
 

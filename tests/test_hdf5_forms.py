@@ -46,6 +46,19 @@ def test_events_and_triggers_of_metavision_are_read(path, compression):
         assert not recording.problems
 
 
+def test_triggers_of_one_channel_are_read(path):
+    with h5py.File(path, "w") as file:
+        file.attrs["geometry"] = "640x480"
+        file["CD/events"] = np.array([(3, 2, 1, 5000)], CD)
+        file["EXT_TRIGGER/events"] = np.array(
+            [(1, 6000, 0), (1, 6500, 6), (0, 7000, 0)], TRIGGER)
+    for channel, wanted in (0, [(6000, 1), (7000, 2)]), (6, [(6500, 1)]), (3, []):
+        with open_recording(path, trigger_channel=channel) as recording:
+            assert joined(recording.packets())[3].tolist() == wanted
+            assert [problem.count for problem in recording.problems] == [
+                3 - len(wanted)]
+
+
 def test_a_codec_that_is_not_installed_is_named_with_the_way_out(path):
     with h5py.File(path, "w") as file:
         plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)

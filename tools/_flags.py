@@ -75,6 +75,7 @@ WORDS: dict[str | None, tuple[Callable[[str], Any], str]] = {
     "text": (str, "NAME"),
     "number": (positive, "RATE"),
     "count": (within(1, 1024), "N"),
+    "channel": (within(0, 31), "N"),
     "seconds": (since_start, "S"),
     "offset": (offset, "US"),
     "us": (within(1, 10**9), "US"),

@@ -63,6 +63,8 @@ def _is_hdf5(path: str | os.PathLike[str]) -> bool:
 def source_given(args: argparse.Namespace) -> dict[str, Any]:
     """Return what the options of a command state about its source."""
     values = {name: getattr(args, name, None) for name, _ in offered(source_options())}
+    values["trigger_channel"] = getattr(args, "trigger", None) or values[
+        "trigger_channel"]
     return {name: value for name, value in values.items()
             if value is not None and value is not False}
 
@@ -112,8 +114,8 @@ def add_fuse_options(parser: argparse.ArgumentParser) -> None:
         "--analyser-phase", type=number, default=0.0, metavar="DEG", help="its angle "
         "at time 0 of the recording's clock, or at the first pulse; default 0")
     group.add_argument(
-        "--trigger", type=within(0, 0), metavar="CHANNEL", help="the file's external "
-        "trigger, 0, pulses as it turns")
+        "--trigger", type=within(0, 31), metavar="CHANNEL", help="the file's external "
+        "trigger of this channel pulses as it turns; most cameras have 0 only")
     group.add_argument(
         "--trigger-pulses", type=within(1, 4096), default=1, metavar="N",
         help="pulses of the trigger per turn; default 1")

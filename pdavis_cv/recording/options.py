@@ -108,6 +108,10 @@ class SourceOptions(Options):
         "Lay images of four channels, or of several angles, over the first one: they "
         "come from other cameras, or the camera moved; by shift and turn.", "flag",
         "lay the images of four channels, or of several angles, over the first one")
+    trigger_channel: int = option(
+        0, "int",
+        "Channel of the external triggers that are read, of cameras that have several.",
+        "channel")
     bad_events: str = option(
         "drop", '{"drop", "raise"}',
         "Whether events outside the sensor or before their predecessor are dropped and "
@@ -149,6 +153,8 @@ class SourceOptions(Options):
         if self.bits is not None and self.full_scale_dn is not None:
             raise ValueError("give bits or full_scale_dn, not both")
         self._put("align_planes", bool(self.align_planes))
+        self._put("trigger_channel", whole_number(
+            "trigger_channel", self.trigger_channel, 0, 31))
         if not isinstance(self.analyser_steps, AnalyserSteps | str | None):
             raise TypeError("analyser_steps must be AnalyserSteps or a str, got "
                             f"{type(self.analyser_steps).__name__}")
@@ -206,6 +212,7 @@ class SourceKeywords(TypedDict, total=False):
     columns: str | None
     analyser_steps: AnalyserSteps | str | None
     align_planes: bool
+    trigger_channel: int
     bad_events: str
     limits: Limits | None
     isolated: bool

@@ -48,6 +48,10 @@ def is_prophesee(start: bytes) -> bool:
         rb"|(Version|Width|Height) \d)", b"\n".join(lines)) is not None
 
 
+OTHER_TRIGGERS = ("triggers of other channels than {} were left out; "
+                  "trigger_channel= states which one is read")
+
+
 def ordered_triggers(t: NDArray[np.int64], rising: NDArray[Any], after_us: int
                      ) -> tuple[NDArray[Any], int]:
     """Return external triggers in time order, and how many were left out.
@@ -66,18 +70,18 @@ class WordStream:
     """Decode words of EVT2, EVT2.1 (version 21) or EVT3; the state is kept.
 
     Of EVT2.1, `high_first` tells whether the upper half of a word comes first.
-    `triggers`, int64 (N, 2), are the external triggers of the last call: time in the
-    file in us, 1 for a rising edge.
+    `triggers`, int64 (N, 2), are the external triggers of the last call on `channel`:
+    time in the file in us, 1 for a rising edge; `other_triggers` counts the others.
     """
 
-    def __init__(self, version: int, size: tuple[int, int], *, high_first: bool = True
-                 ) -> None:
+    def __init__(self, version: int, size: tuple[int, int], *, high_first: bool = True,
+                 channel: int = 0) -> None:
         self.version, self.size, self._high_first = version, size, high_first
         self.dtype = np.dtype("<u2" if version == EVT3 else "<u4")
         self._stream = np.zeros(WORD_STATE, np.int64)
         self._stream[HIGH] = -1
         self._room = np.empty((_TRIGGER_ROOM, 2), np.int64)
-        self.triggers = self._room[:0]
+        self.triggers, self._channel, self.other_triggers = self._room[:0], channel, 0
 
     @property
     def untimed(self) -> int:
@@ -104,7 +108,9 @@ class WordStream:
             done = kernel(words, done, *self.size, self._stream, state, self._room, out)
             if self._stream[TRIGGERS]:
                 found.append(self._room[:int(self._stream[TRIGGERS])].copy())
-        self.triggers = np.concatenate(found) if found else self._room[:0]
+        triggers = np.concatenate(found) if found else self._room[:0]
+        self.triggers = triggers[triggers[:, 1] >> 1 == self._channel] & (-1, 1)
+        self.other_triggers += len(triggers) - len(self.triggers)
 
 
 def _single_events(pairs: NDArray[np.unsignedinteger], high_first: bool
@@ -154,6 +160,7 @@ class PropheseeRecording(SequentialRecording):
             )).strip() or None
         serial = facts.get("serial_number")
         self._check_camera(options.camera, f"{name} {serial}")
+        self._channel = options.trigger_channel
         self._version = self._kind(facts)
         origin = facts.get("t0", facts.get("T0", ""))   # of faery
         self._origin = int(origin) if re.fullmatch(r"\d{1,18}", origin) else 0
@@ -244,7 +251,8 @@ class PropheseeRecording(SequentialRecording):
         return words
 
     def _stream(self, size: tuple[int, int]) -> WordStream:
-        return WordStream(self._version, size, high_first=self._high_first)
+        return WordStream(self._version, size, high_first=self._high_first,
+                          channel=self._channel)
 
     def _first(self) -> WordStream | None:
         return None if self._version == DAT else self._stream(self._info.sensor_size)
@@ -264,11 +272,13 @@ class PropheseeRecording(SequentialRecording):
             t, word = words.reshape(-1, 2).T
             return self._checked(
                 (t.astype(np.int64), *self._places(word)), clock, at, memory), after
-        before = state.untimed
+        before, others = state.untimed, state.other_triggers
         events = self._taken(lambda out: state.decode(words, clock.state, out),
                              state.room(words), clock, at, memory)
         self._count(at, "untimed", state.untimed - before, "events were skipped "
                     "whose time is not known, or damaged")
+        self._count(at, "other triggers", state.other_triggers - others,
+                    OTHER_TRIGGERS.format(self._channel))
         return events, after
 
     def _triggers(self, at: int, clock: Clock, state: WordStream | None, after_us: int

@@ -45,6 +45,7 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
     Format(
         name="e2p", title="HDF5 of E2P", suffixes=(".h5", ".hdf5"),
         magic=(b"\x89HDF\r\n\x1a\n",), holds=_ALL, extra="hdf5",
+        read_options=("trigger_channel",),      # whichever HDF5 it turns out to be
         reader=f"{_ROOM}.hdf5.reader:Hdf5Recording",
         writer=f"{_ROOM}.hdf5.writer:write_e2p"),
     Format(
@@ -68,7 +69,7 @@ FORMATS: Registry[Format] = Registry("format", {one.name: one for one in (
     Format(
         name="prophesee", title="Prophesee RAW (EVT2, EVT2.1, EVT3) and DAT",
         holds=frozenset(("events", "triggers")),
-        suffixes=(".raw", ".dat"), by_ranges=True,
+        suffixes=(".raw", ".dat"), by_ranges=True, read_options=("trigger_channel",),
         sniff=f"{_ROOM}.prophesee:is_prophesee",
         reader=f"{_ROOM}.prophesee:PropheseeRecording",
         writer=f"{_ROOM}.event_writers:RawWriter.write", written=(".raw",),

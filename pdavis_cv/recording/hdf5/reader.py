@@ -32,7 +32,7 @@ from pdavis_cv.recording.files import microseconds
 from pdavis_cv.recording.hdf5.separate import SeparateImages
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import END_OF_TIME, Batch, cell_start
-from pdavis_cv.recording.prophesee import ordered_triggers
+from pdavis_cv.recording.prophesee import OTHER_TRIGGERS, ordered_triggers
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import PiecewiseRecording
 from pdavis_cv.recording.timeline import NEVER, Clock, Timeline
@@ -84,6 +84,7 @@ class Hdf5Recording(PiecewiseRecording):
 
     def _open(self, options: SourceOptions) -> RecordingInfo:
         h5py, path = h5py_module(), self._path
+        self._channel = options.trigger_channel
         try:
             with _reading():
                 self._file = h5py.File(path, "r")
@@ -394,6 +395,11 @@ class Hdf5Recording(PiecewiseRecording):
                 records = self._records("EXT_TRIGGER", "tp")
                 if records is not None:
                     found = records[()]
+                    if "id" in found.dtype.names:
+                        mine = found["id"] == self._channel
+                        self._count(0, "other triggers", int((~mine).sum()),
+                                    OTHER_TRIGGERS.format(self._channel))
+                        found = found[mine]
                     triggers, late = ordered_triggers(
                         found["t"].astype(np.int64), found["p"], NEVER)
                     self._count(0, "late triggers", late, "triggers were "
