@@ -128,6 +128,18 @@ def test_shared_memory_is_used_again_but_not_while_arrays_are_in_it():
         room.put(np.zeros(1001, "u1"))
 
 
+@pytest.mark.parametrize("text", [
+    "[", '{"events": [9, 0]}', '{"events": [-1, 0]}', '{"events": [1]}',
+    '{"array": [0, [1, -1], 0, true]}', '{"array": [99, [1], 0, true]}',
+    '{"array": [0, [1000000000000000], 0, true]}', '{"array": 1}', '{"Path": []}',
+    '{"Packet": [["x", 1]]}', '{"tuple": [], "dict": []}', '{"dict": [[[], 1]]}', "{}",
+    "[" * 100_000])
+def test_what_is_no_answer_is_refused(text):
+    with pytest.raises((ValueError, TypeError, LookupError, RecursionError,
+                        MemoryError)):
+        wire.read(text.encode(), memoryview(bytearray(100)))
+
+
 def test_memory_is_not_mapped_anew_for_each_packet(tmp_path):
     events = np.zeros(2_000_000, EVENT_DTYPE)
     events["t"] = np.arange(len(events)) // 4

@@ -8,7 +8,6 @@ from __future__ import annotations
 import bisect
 import dataclasses
 import json
-import math
 import struct
 import weakref
 from collections.abc import Mapping
@@ -100,7 +99,7 @@ class Room:
         """
         if not array.size:
             return 0, array
-        at = array.__array_interface__["data"][0] - self._start
+        at = array.ctypes.data - self._start
         if 0 <= at < len(self._memory) and array.flags.c_contiguous:
             return at, array
         if (got := self.new(array.nbytes, len(self._memory))) is None:
@@ -134,13 +133,20 @@ def written(value: Any, room: Room, kept: list[NDArray[Any]]) -> bytes:
             kept.append(array)
             return {"array": [_NUMBERS[value.dtype], value.shape, at,
                               value.flags.writeable]}
+        if isinstance(value, Packet) and value.until_us is None and not (
+                value.frames or len(value.imu) or len(value.triggers)):
+            at, array = room.put(value.events)      # most packets, to be fast
+            kept.append(array)
+            return {"events": [len(value.events), at]}
         if (kind := type(value).__name__) in _MADE:
-            return {kind: {name: plain(getattr(value, field))
-                           for name, field in _FIELDS[kind]}}
+            return {kind: [(name, plain(getattr(value, field)))
+                           for name, field in _FIELDS[kind]]}
         if isinstance(value, np.generic):
             return plain(value.item())
-        if isinstance(value, list | tuple):
-            return {type(value).__name__: [plain(one) for one in value]}
+        if isinstance(value, list):
+            return [plain(one) for one in value]
+        if isinstance(value, tuple):
+            return {"tuple": [plain(one) for one in value]}
         if isinstance(value, Mapping):
             return {"dict": [[plain(name), plain(one)] for name, one in value.items()]}
         return str(value)
@@ -153,28 +159,23 @@ def read(text: bytes, memory: memoryview) -> Any:
 
     Raises
     ------
-    ValueError, TypeError, KeyError, IndexError
+    ValueError, TypeError, LookupError, RecursionError, MemoryError
         If it is something else.
     """
-    def made(value: Any) -> Any:
-        if not isinstance(value, dict):
-            return value
+    def made(value: dict[str, Any]) -> Any:
         [(kind, rest)] = value.items()
-        if kind == "list":
-            return [made(one) for one in rest]
-        if kind == "tuple":
-            return tuple(made(one) for one in rest)
-        if kind == "dict":
-            return {made(name): made(one) for name, one in rest}
+        if kind == "events":
+            return Packet(made({"array": [0, *rest, True]}))
         if kind == "array":
             which, shape, at, writeable = rest
             dtype = _DTYPES[which]
-            data = np.frombuffer(
-                memory, np.uint8, math.prod(shape) * dtype.itemsize, at)
             array = np.empty(shape, dtype)
-            array.reshape(-1).view(np.uint8)[:] = data
+            array.reshape(-1).view(np.uint8)[:] = np.frombuffer(
+                memory, np.uint8, array.nbytes, at)
             array.flags.writeable = writeable
             return array
-        return _MADE[kind](**{name: made(one) for name, one in rest.items()})
+        if kind == "tuple":
+            return tuple(rest)
+        return dict(rest) if kind == "dict" else _MADE[kind](**dict(rest))
 
-    return made(json.loads(text))
+    return json.loads(text, object_hook=made)
