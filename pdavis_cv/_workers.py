@@ -1,10 +1,12 @@
-"""One pool of threads that share the work on images."""
+"""Threads that share the work on images, and what processes of workers need."""
 from __future__ import annotations
 
+import contextlib
 import math
 import os
+import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import partial
 from itertools import pairwise
@@ -109,6 +111,22 @@ class Workers:
 
     def __reduce__(self) -> tuple[type[Workers], tuple[int]]:
         return Workers, (self.threads,)
+
+
+@contextlib.contextmanager
+def deaf() -> Iterator[None]:
+    """Let processes that are started in the block never get Ctrl-C, from the first on.
+
+    It is for their parent: theirs would end them while they still load modules.
+    """
+    if not hasattr(signal, "pthread_sigmask"):      # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def usable_cores() -> int:

@@ -9,6 +9,7 @@ import weakref
 import pytest
 
 from pdavis_cv.data import example_recording
+from pdavis_cv.recording import sandbox
 from pdavis_cv.tools import _interrupts
 from pdavis_cv.tools._common import command
 
@@ -78,6 +79,31 @@ def test_an_interrupt_while_modules_load_says_one_line(tmp_path, module, lost):
     assert (run.returncode, run.stdout) == (130, "")
     assert run.stderr == "pdavis: interrupted; nothing unfinished was left\n"
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("starts", [
+    pytest.param(
+        "from pdavis_cv.batch.processes import ProcessPool\n"
+        "    with ProcessPool(2) as pool: print(pool.submit(abs, -1).result())",
+        id="pool"),
+    pytest.param(
+        "from pdavis_cv import open_recording\n"
+        "    with open_recording(sys.argv[1], isolated=True): print(1)", id="isolated",
+        marks=pytest.mark.skipif(not sandbox.available(), reason="Linux 5.13"))])
+def test_an_interrupt_is_not_for_processes_that_begin(tmp_path, starts):
+    # What sitecustomize does comes before all else that a process does.
+    (tmp_path / "sitecustomize.py").write_text(
+        "import os, signal\n"
+        "if 'BEGUN' in os.environ: os.kill(os.getpid(), signal.SIGINT)\n")
+    (tmp_path / "starts.py").write_text(
+        "import os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        f"if __name__ == '__main__':\n    os.environ['BEGUN'] = '1'\n    {starts}\n")
+    run = subprocess.run(
+        [sys.executable, "-P", str(tmp_path / "starts.py"), str(example_recording())],
+        env={**os.environ, "PYTHONPATH": str(tmp_path)}, capture_output=True, text=True,
+        timeout=60, check=False)
+    assert (run.returncode, run.stdout, run.stderr) == (0, "1\n", "")
 
 
 class Destroyed:

@@ -15,13 +15,12 @@ import functools
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 from lab.paper.print_style import beside_stem
 from pdavis_cv import __version__
 from pdavis_cv._beside import write_beside
+from pdavis_cv.batch.processes import ProcessPool
 from pdavis_cv.tools._common import (
     Parser,
     UsageError,
@@ -73,12 +72,12 @@ def _done(tasks: Sequence[Task], jobs: int) -> Iterator[list[Row]]:
         quiet()
         yield from (task() for task in tasks)
         return
-    # "spawn": a fork of a process that has threads may never go on.
-    with ProcessPoolExecutor(jobs, get_context("spawn"), initializer=quiet) as pool:
+    with ProcessPool(jobs) as pool:
         yield from pool.map(_call, tasks)
 
 
 def _call(task: Task) -> list[Row]:
+    quiet()
     return task()
 
 

@@ -2,12 +2,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from concurrent.futures import as_completed
 from pathlib import Path
 from time import perf_counter
 
 from pdavis_cv._workers import usable_cores
+from pdavis_cv.batch.processes import ProcessPool
 from pdavis_cv.tools._progress import no_progress, progress
 
 from .print_style import journal
@@ -37,8 +37,7 @@ def made(
     """
     rows = {}
     workers = min(usable_cores(), len(stems))
-    # "spawn": a fork of a process that has threads may never go on
-    with ProcessPoolExecutor(workers, get_context("spawn")) as executor:
+    with ProcessPool(workers) as executor:
         waiting = {executor.submit(_quietly, make, name, stem, settings): name
                    for name, stem in stems.items()}
         for future in progress(as_completed(waiting), len(waiting), "experiments"):

@@ -6,9 +6,11 @@ import multiprocessing
 import os
 import signal
 import threading
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing.connection import Connection
 from typing import Any
+
+from pdavis_cv._workers import deaf
 
 
 class ProcessPool(ProcessPoolExecutor):
@@ -29,6 +31,11 @@ class ProcessPool(ProcessPoolExecutor):
         self._child_end, self._parent_end = context.Pipe(duplex=False)
         super().__init__(workers, mp_context=context, initializer=_prepare_worker,
                          initargs=(self._child_end,))
+
+    def submit(self, *call: Any, **named: Any) -> Future[Any]:
+        """Submit a call; processes that are started for it never get Ctrl-C."""
+        with deaf():
+            return super().submit(*call, **named)
 
     def __exit__(self, kind: object, *rest: object) -> None:
         self.close(at_once=kind is not None)

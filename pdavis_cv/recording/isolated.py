@@ -24,6 +24,7 @@ from typing import Any
 
 import pdavis_cv.errors
 from pdavis_cv._remote import is_remote
+from pdavis_cv._workers import deaf
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording import sandbox, wire
 from pdavis_cv.recording.base import Packet, Problem, Recording, RecordingInfo
@@ -89,7 +90,7 @@ class IsolatedRecording(Recording):
             raise
 
     def _start(self, most: int) -> None:
-        with contextlib.ExitStack() as stack:
+        with deaf(), contextlib.ExitStack() as stack:
             folder = stack.enter_context(tempfile.TemporaryDirectory(
                 prefix="pdavis-", ignore_cleanup_errors=True))
             shared = sandbox.own_memory(most)

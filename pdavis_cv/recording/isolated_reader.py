@@ -5,7 +5,6 @@ import contextlib
 import mmap
 import os
 import pickle
-import signal
 import sys
 import warnings
 from collections.abc import Iterator
@@ -71,7 +70,6 @@ def serve(most: int, hears: int, says: int, shared: int) -> None:
     base.new_array = lambda count, dtype: np.empty(count, dtype) if (
         found := room.new(count * dtype.itemsize, _ROOM)) is None else found.view(dtype)
     ask, say, said = open(hears, "rb"), open(says, "wb"), list[tuple[str, str]]()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)    # is for the other process
     warnings.simplefilter("always")
     warnings.showwarning = lambda text, kind, *_: said.append(
         (kind.__name__, str(text)))
