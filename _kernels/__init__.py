@@ -9,13 +9,7 @@ from ._clock import settle
 from ._colours import colour_means, smooth
 from ._davis_usb import davis_words
 from ._degree import degree_frame, lasting_degree
-from ._demosaic import (
-    bilinear,
-    bilinear_variance,
-    bilinear_weighted,
-    binned,
-    reached,
-)
+from ._demosaic import bilinear, bilinear_variance, bilinear_weighted, binned, reached
 from ._denoise import denoise_events, denoise_rates
 from ._elementwise import exp, least_squares, mismatch, reconcile
 from ._event_text import text_events
@@ -42,11 +36,7 @@ from ._increments_frames import (
     increments_node,
     increments_pass,
 )
-from ._increments_read import (
-    increments_image,
-    increments_move,
-    increments_rest_planes,
-)
+from ._increments_read import increments_image, increments_move, increments_rest_planes
 from ._lamp import lamp_push, lamp_wave
 from ._leaky import (
     cf_frame,
@@ -59,12 +49,7 @@ from ._leaky import (
     leak_shown,
     mean_around,
 )
-from ._learning import (
-    learning_around,
-    learning_means,
-    learning_past,
-    learning_silences,
-)
+from ._learning import learning_around, learning_means, learning_past, learning_silences
 from ._network import voxel_planes
 from ._picture import fade_bgr, hue_bgr, ramp_bgr, tone_bgr
 from ._polarization import aop, aop_dolp, dolp, mix, stokes
@@ -77,12 +62,7 @@ from ._redundancy import (
     saturated_fill,
 )
 from ._samples import log_frame
-from ._scenes import (
-    analysed,
-    fan_stokes,
-    plane_waves,
-    texture_stokes,
-)
+from ._scenes import analysed, fan_stokes, plane_waves, texture_stokes
 from ._simulate import pixel_events
 from ._turning import turning_events, turning_images
 

@@ -44,10 +44,7 @@ from .capture.constants import (
     CAP_PROP_PDAVIS_START_US as CAP_PROP_PDAVIS_START_US,
     CAP_PROP_PDAVIS_WHITE as CAP_PROP_PDAVIS_WHITE,
 )
-from .capture.video import (
-    CaptureStatus as CaptureStatus,
-    VideoCapture as VideoCapture,
-)
+from .capture.video import CaptureStatus as CaptureStatus, VideoCapture as VideoCapture
 from .errors import (
     AnalysisWarning as AnalysisWarning,
     CalibrationError as CalibrationError,
@@ -72,19 +69,11 @@ from .events import (
 )
 from .fusion.iteration import fuse as fuse
 from .fusion.options import FusionOptions as FusionOptions
-from .live.address import (
-    SOURCES as SOURCES,
-    open_source as open_source,
-)
+from .live.address import SOURCES as SOURCES, open_source as open_source
 from .mosaic import demosaic as demosaic
 from .packed import unpack as unpack
-from .polarimetry import (
-    PolarFrame as PolarFrame,
-    polarization as polarization,
-)
-from .quantities import (
-    QUANTITIES as QUANTITIES,
-)
+from .polarimetry import PolarFrame as PolarFrame, polarization as polarization
+from .quantities import QUANTITIES as QUANTITIES
 from .reconstruct.aop_events import (
     AOP_EVENT_DTYPE as AOP_EVENT_DTYPE,
     AopEvents as AopEvents,
@@ -96,10 +85,7 @@ from .reconstruct.base import (
 )
 from .reconstruct.cf import ComplementaryFilter as ComplementaryFilter
 from .reconstruct.kalman import KalmanFilter as KalmanFilter
-from .reconstruct.methods import (
-    DEFAULT_METHOD as DEFAULT_METHOD,
-    METHODS as METHODS,
-)
+from .reconstruct.methods import DEFAULT_METHOD as DEFAULT_METHOD, METHODS as METHODS
 from .recording.aedat2.writer import (
     Aedat2Writer as Aedat2Writer,
     write_aedat2 as write_aedat2,
@@ -123,11 +109,7 @@ from .recording.memory import recording_from_arrays as recording_from_arrays
 from .recording.open import open_recording as open_recording
 from .recording.registry import FORMATS as FORMATS
 from .recording.stream import source_from_packets as source_from_packets
-from .sensor import (
-    CHANNELS as CHANNELS,
-    Layout as Layout,
-    Sensor as Sensor,
-)
+from .sensor import CHANNELS as CHANNELS, Layout as Layout, Sensor as Sensor
 from .steps import AnalyserSteps as AnalyserSteps
 from .stokes_vector import (
     aop as aop,
@@ -136,9 +118,6 @@ from .stokes_vector import (
     stokes as stokes,
 )
 from .turning import TurningAnalyser as TurningAnalyser
-from .viewer.server import (
-    serve as serve,
-    view as view,
-)
+from .viewer.server import serve as serve, view as view
 
 __version__: str

@@ -9,12 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import (
-    output,
-    positive,
-    sensor_shape,
-    whole_number,
-)
+from pdavis_cv._checks import output, positive, sensor_shape, whole_number
 from pdavis_cv._types import Events
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])

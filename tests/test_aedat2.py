@@ -22,13 +22,7 @@ from aedat2_bytes import (
 )
 from test_aedat4 import joined
 
-from pdavis_cv import (
-    DamagedFileWarning,
-    Layout,
-    RecordingError,
-    fuse,
-    open_recording,
-)
+from pdavis_cv import DamagedFileWarning, Layout, RecordingError, fuse, open_recording
 
 
 @pytest.fixture

@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 from ideal import rotating_polarizer
 
-from pdavis_cv import (
-    Layout,
-    open_recording,
-    recording_from_arrays as record,
-)
+from pdavis_cv import Layout, open_recording, recording_from_arrays as record
 from pdavis_cv.calibration.check import check_recording
 
 

@@ -6,12 +6,7 @@ from streams import random_events
 from test_aedat4 import assert_same, joined
 from test_aedat4_jaer import events as jaer_events, imu_samples, jaer_file
 
-from pdavis_cv import (
-    IMU_DTYPE,
-    ApsFrame,
-    open_recording,
-    recording_from_arrays,
-)
+from pdavis_cv import IMU_DTYPE, ApsFrame, open_recording, recording_from_arrays
 from pdavis_cv.recording.file_reader import FileReader
 
 SIZE = (12, 16)

@@ -8,12 +8,7 @@ import pytest
 from images import encoded
 
 import pdavis_cv as p
-from pdavis_cv import (
-    Layout,
-    RecordingError,
-    VideoCapture,
-    open_recording,
-)
+from pdavis_cv import Layout, RecordingError, VideoCapture, open_recording
 
 SIZE = (20, 24)
 

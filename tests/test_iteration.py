@@ -10,13 +10,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from pdavis_cv import (
-    Calibration,
-    Layout,
-    fuse,
-    open_recording,
-    source_from_packets,
-)
+from pdavis_cv import Calibration, Layout, fuse, open_recording, source_from_packets
 from pdavis_cv.data import example_recording
 from pdavis_cv.fusion.engine import Fusion
 from pdavis_cv.fusion.images import ImageMaker

@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 from truth_errors import errors_of
 
-from pdavis_cv import (
-    Calibration,
-    FusionOptions,
-    fuse,
-    recording_from_arrays,
-)
+from pdavis_cv import Calibration, FusionOptions, fuse, recording_from_arrays
 from pdavis_cv.fusion import Fusion, learning
 from pdavis_cv.fusion.learning import Learned, Learning
 from pdavis_cv.fusion.online_learning import FIRST_LOOK_S, OnlineLearning

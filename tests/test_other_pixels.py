@@ -6,13 +6,7 @@ import importlib.util
 
 import numpy as np
 import pytest
-from other_pixels import (
-    Light,
-    circuit_events,
-    eventcv_events,
-    recording,
-    v2e_events,
-)
+from other_pixels import Light, circuit_events, eventcv_events, recording, v2e_events
 from truth_errors import errors_of
 
 from pdavis_cv import fuse

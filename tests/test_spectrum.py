@@ -4,12 +4,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from pdavis_cv import AnalysisWarning
-from pdavis_cv.analysis import (
-    birefringence,
-    retardance,
-    subtract_background,
-    trace_hz,
-)
+from pdavis_cv.analysis import birefringence, retardance, subtract_background, trace_hz
 
 EPOCH = 1_700_000_000_000_000  # Unix time in us, as DV writes it
 

@@ -4,12 +4,7 @@ import pytest
 from ideal import rotating_polarizer
 
 from pdavis_cv import PolarFrame, demosaic
-from pdavis_cv.analysis import (
-    Roi,
-    TraceRecorder,
-    event_counts,
-    region_statistics,
-)
+from pdavis_cv.analysis import Roi, TraceRecorder, event_counts, region_statistics
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.mosaic import DEMOSAIC_METHODS, HALF_SIZE
 from pdavis_cv.recording.memory import recording_from_arrays

@@ -19,14 +19,7 @@ from pdavis_cv._opencv import opencv
 from pdavis_cv.analysis import SectorSummary, Wheel, summarise_sectors
 from pdavis_cv.recording.base import start_of
 
-from ._common import (
-    Parser,
-    UsageError,
-    add_json_option,
-    checked_out,
-    command,
-    tell,
-)
+from ._common import Parser, UsageError, add_json_option, checked_out, command, tell
 from ._images import (
     facts_of,
     full_scale,

@@ -15,13 +15,7 @@ from pathlib import Path
 from pdavis_cv.recording.registry import writer_for
 from pdavis_cv.recording.stream import source_from_packets
 from pdavis_cv.sensor import Sensor
-from pdavis_cv.simulation import (
-    DEFAULT_CAMERA,
-    PRESETS,
-    SCENES,
-    Camera,
-    named_scene,
-)
+from pdavis_cv.simulation import DEFAULT_CAMERA, PRESETS, SCENES, Camera, named_scene
 
 from ._common import Parser, UsageError, add_json_option, checked_out, command, tell
 from ._progress import progress_in_time

@@ -11,14 +11,7 @@ from numpy.typing import NDArray
 from pdavis_cv.reconstruct.aop_events import AopEvents
 from pdavis_cv.sensor import Layout
 
-from .cases import (
-    EVENTS,
-    PACKET,
-    SHAPE,
-    Comparison,
-    case,
-    event_input,
-)
+from .cases import EVENTS, PACKET, SHAPE, Comparison, case, event_input
 from .floor import compiled_floor
 
 _THETA = 0.2

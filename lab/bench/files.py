@@ -22,14 +22,7 @@ from pdavis_cv.recording.base import ApsFrame, Packet
 from pdavis_cv.recording.memory import recording_from_arrays
 from pdavis_cv.recording.open import open_recording
 
-from .cases import (
-    EVENTS,
-    PACKET,
-    SHAPE,
-    Comparison,
-    case,
-    event_input,
-)
+from .cases import EVENTS, PACKET, SHAPE, Comparison, case, event_input
 from .event_files import write_evt3
 
 KINDS = ("uniform", "clustered")

@@ -15,14 +15,7 @@ from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.recording.memory import recording_from_arrays
 from pdavis_cv.sensor import Layout
 
-from .cases import (
-    EVENTS,
-    PACKET,
-    SHAPE,
-    Comparison,
-    case,
-    event_input,
-)
+from .cases import EVENTS, PACKET, SHAPE, Comparison, case, event_input
 from .floor import compiled_floor
 
 THETA = 0.2

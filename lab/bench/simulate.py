@@ -8,23 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.simulation import (
-    Camera,
-    Fan,
-    RotatingPlate,
-    RotatingPolarizer,
-    Scene,
-)
+from pdavis_cv.simulation import Camera, Fan, RotatingPlate, RotatingPolarizer, Scene
 
-from .cases import (
-    CASES,
-    EVENTS,
-    PACKET,
-    SHAPE,
-    Case,
-    Comparison,
-    event_input,
-)
+from .cases import CASES, EVENTS, PACKET, SHAPE, Case, Comparison, event_input
 from .floor import compiled_floor
 
 CLOSED_FORM: dict[str, tuple[Scene, tuple[int, int], float]] = {

@@ -22,15 +22,7 @@ from pdavis_cv.recording.open import open_recording
 from pdavis_cv.sensor import Layout
 
 from .cases import SHAPE, Comparison, case
-from .images import (
-    IMAGES,
-    Repeatable,
-    chain,
-    check_same,
-    endless,
-    per_image,
-    shown,
-)
+from .images import IMAGES, Repeatable, chain, check_same, endless, per_image, shown
 
 SIZES = ((64, 64), (128, 128), SHAPE, (480, 640), (720, 1280))
 """Heights and widths of sensors."""

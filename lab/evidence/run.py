@@ -20,11 +20,7 @@ from pdavis_cv.analysis import CLASSES, LeftOutFrames, observed, pooled
 from pdavis_cv.batch import both_halves, predicted
 from pdavis_cv.errors import PdavisWarning
 from pdavis_cv.reconstruct.base import Estimate
-from pdavis_cv.reconstruct.methods import (
-    DEFAULT_METHOD,
-    METHODS,
-    make_reconstructor,
-)
+from pdavis_cv.reconstruct.methods import DEFAULT_METHOD, METHODS, make_reconstructor
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, ApsFrame
 from pdavis_cv.recording.memory import MemoryRecording
 from pdavis_cv.simulation import PRESETS, Camera

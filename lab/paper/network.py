@@ -32,12 +32,7 @@ from pdavis_cv.simulation import (
 from pdavis_cv.simulation.scenes import Scene
 
 from . import run as runs
-from .light import (
-    EVENT_DN,
-    HIGH_UW_CM2,
-    LOW_UW_CM2,
-    halves,
-)
+from .light import EVENT_DN, HIGH_UW_CM2, LOW_UW_CM2, halves
 from .page import table
 from .print_style import PAGE_IN, letters, look, new_figure
 from .response import response_table

@@ -12,13 +12,7 @@ from numpy.typing import NDArray
 from pdavis_cv import AopEvents, Layout
 from pdavis_cv.analysis import axial_difference
 from pdavis_cv.fusion import fuse
-from pdavis_cv.simulation import (
-    FULL,
-    PRESETS,
-    Camera,
-    FunctionScene,
-    Texture,
-)
+from pdavis_cv.simulation import FULL, PRESETS, Camera, FunctionScene, Texture
 
 from .network import all_weights
 from .page import table

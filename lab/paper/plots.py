@@ -9,11 +9,7 @@ from numpy.typing import NDArray
 
 from .page import mean
 from .print_style import COLUMN_IN, PAGE_IN, letters, look, new_figure
-from .rotation import (
-    INTERVALS_US,
-    Comparison,
-    Trace,
-)
+from .rotation import INTERVALS_US, Comparison, Trace
 from .run import SHOWN, Row
 
 if TYPE_CHECKING:

@@ -21,16 +21,7 @@ from pdavis_cv.simulation import (
 
 from .bound import Limits, limits
 from .intervals import events_by_phase, pixel_intervals
-from .run import (
-    METHODS,
-    OFF_LOCK,
-    Case,
-    Row,
-    Settings,
-    Takes,
-    fuse_parameters,
-    run,
-)
+from .run import METHODS, OFF_LOCK, Case, Row, Settings, Takes, fuse_parameters, run
 
 RPMS = (30.0, 60.0, 100.0, 200.0, 500.0, 1000.0)
 # A fixed plate along 0 or 45 degrees would leave two channels without a change.

@@ -13,10 +13,7 @@ import resource
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import (
-    Executor,
-    Future,
-)
+from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 

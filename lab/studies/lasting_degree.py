@@ -17,13 +17,7 @@ from common import Found, main
 from lab.scoring import Scorer
 from pdavis_cv import fuse
 from pdavis_cv.reconstruct.kalman import lasting_degree
-from pdavis_cv.simulation import (
-    FULL,
-    Camera,
-    FunctionScene,
-    RotatingPolarizer,
-    Texture,
-)
+from pdavis_cv.simulation import FULL, Camera, FunctionScene, RotatingPolarizer, Texture
 
 SIZE, SECONDS = (12, 12), 1.5
 SPEEDS_RPM = 30.4, 202.6

@@ -5,13 +5,7 @@ import numpy as np
 import pytest
 
 from lab.paper import run as runs
-from lab.paper.bound import (
-    Bound,
-    Limits,
-    frame_bound,
-    held_errors,
-    optics_bound,
-)
+from lab.paper.bound import Bound, Limits, frame_bound, held_errors, optics_bound
 from lab.paper.rotation import SCENES, Comparison
 from lab.paper.rotation_page import below_bound
 from pdavis_cv.simulation import FULL, Camera, FlatLight, Optics

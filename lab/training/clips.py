@@ -13,14 +13,7 @@ import torch.nn.functional as F
 from pdavis_cv.reconstruct.firenet import PLACES
 from pdavis_cv.reconstruct.weights import BINS, MEMORY
 
-from .scenery import (
-    MAP_SIDE,
-    Motion,
-    Path,
-    draw_map,
-    draw_motion,
-    walk,
-)
+from .scenery import MAP_SIDE, Motion, Path, draw_map, draw_motion, walk
 
 STEPS = 8
 """Times per window at which light is computed; two per interval between bins."""

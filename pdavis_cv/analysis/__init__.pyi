@@ -29,28 +29,15 @@ from .left_out import (
     observed as observed,
     pooled as pooled,
 )
-from .load import (
-    LoadTrace as LoadTrace,
-    read_load as read_load,
-)
+from .load import LoadTrace as LoadTrace, read_load as read_load
 from .optics import (
     birefringence as birefringence,
     retardance as retardance,
     subtract_background as subtract_background,
 )
-from .periodic import (
-    Periodic as Periodic,
-    fit_periodic as fit_periodic,
-)
-from .roi import (
-    Roi as Roi,
-    parse_roi as parse_roi,
-    read_rois as read_rois,
-)
-from .tones import (
-    event_hz as event_hz,
-    trace_hz as trace_hz,
-)
+from .periodic import Periodic as Periodic, fit_periodic as fit_periodic
+from .roi import Roi as Roi, parse_roi as parse_roi, read_rois as read_rois
+from .tones import event_hz as event_hz, trace_hz as trace_hz
 from .traces import (
     TRACE_DTYPE as TRACE_DTYPE,
     TraceRecorder as TraceRecorder,

@@ -21,13 +21,7 @@ from pdavis_cv._types import Events, Image
 from pdavis_cv.events import accumulate
 from pdavis_cv.reconstruct.base import Estimate, Factory, Reconstructor
 from pdavis_cv.reconstruct.methods import factory_of
-from pdavis_cv.recording.base import (
-    ApsFrame,
-    Packet,
-    Problem,
-    Recording,
-    RecordingInfo,
-)
+from pdavis_cv.recording.base import ApsFrame, Packet, Problem, Recording, RecordingInfo
 
 FloatArray = NDArray[np.float64]
 

@@ -7,13 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._checks import floats, real_number
-from pdavis_cv.analysis.cycles import (
-    LEAST_SEEN,
-    PhaseLaw,
-    follow,
-    resolved,
-    suited,
-)
+from pdavis_cv.analysis.cycles import LEAST_SEEN, PhaseLaw, follow, resolved, suited
 from pdavis_cv.analysis.harmonics import (
     Function,
     Harmonics,

@@ -1,16 +1,7 @@
 """The names of this room, and the module of each: the only list of them."""
-from .engine import (
-    plan as plan,
-    run as run,
-)
-from .jobs import (
-    Job as Job,
-    Work as Work,
-)
-from .table import (
-    Table as Table,
-    status as status,
-)
+from .engine import plan as plan, run as run
+from .jobs import Job as Job, Work as Work
+from .table import Table as Table, status as status
 from .works import (
     WORKS as WORKS,
     Calibrate as Calibrate,

@@ -6,8 +6,5 @@ from .frames import (
 )
 from .layout import detect_layout as detect_layout
 from .model import Calibration as Calibration
-from .sweep import (
-    fit_sweep as fit_sweep,
-    read_sweep as read_sweep,
-)
+from .sweep import fit_sweep as fit_sweep, read_sweep as read_sweep
 from .thresholds import thresholds_from_biases as thresholds_from_biases

@@ -11,19 +11,13 @@ from .embedded import (
     read_embedded as read_embedded,
     units as units,
 )
-from .figure import (
-    FIGURES as FIGURES,
-    write_figure as write_figure,
-)
+from .figure import FIGURES as FIGURES, write_figure as write_figure
 from .files import write_json as write_json
 from .hdf5 import Hdf5File as Hdf5File
 from .labelled import to_xarray as to_xarray
 from .npy import NpyFile as NpyFile
 from .npz import NpzFile as NpzFile
-from .ometiff import (
-    OmeTiffFile as OmeTiffFile,
-    write_maps as write_maps,
-)
+from .ometiff import OmeTiffFile as OmeTiffFile, write_maps as write_maps
 from .omezarr import OmeZarrFile as OmeZarrFile
 from .stacks import StackFile as StackFile
 from .tables import (
@@ -31,7 +25,4 @@ from .tables import (
     write_jaer_csv as write_jaer_csv,
     write_traces as write_traces,
 )
-from .video import (
-    VideoFile as VideoFile,
-    write_png as write_png,
-)
+from .video import VideoFile as VideoFile, write_png as write_png

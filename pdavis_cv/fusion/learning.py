@@ -18,11 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from pdavis_cv._types import Events, Parameters
 from pdavis_cv.calibration.corrected import FrameCorrection
 from pdavis_cv.calibration.model import Calibration
-from pdavis_cv.calibration.thresholds import (
-    Theta,
-    resolve_thresholds,
-    threshold_origin,
-)
+from pdavis_cv.calibration.thresholds import Theta, resolve_thresholds, threshold_origin
 from pdavis_cv.fusion.events_alone import event_scale, ratio_spread
 from pdavis_cv.fusion.feed import Feed
 from pdavis_cv.fusion.options import FusionOptions

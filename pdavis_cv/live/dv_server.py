@@ -10,11 +10,7 @@ from collections import deque
 from typing import Self
 
 from pdavis_cv._checks import whole_number
-from pdavis_cv.recording.aedat4.writer import (
-    EVENTS,
-    FRAMES,
-    StreamEncoder,
-)
+from pdavis_cv.recording.aedat4.writer import EVENTS, FRAMES, StreamEncoder
 from pdavis_cv.recording.base import Packet, RecordingInfo
 
 _LOG = logging.getLogger(__name__)

@@ -5,12 +5,7 @@ import threading
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 
-from pdavis_cv.recording.base import (
-    MAX_PACKET_EVENTS,
-    MAX_PACKET_US,
-    Packet,
-    joined,
-)
+from pdavis_cv.recording.base import MAX_PACKET_EVENTS, MAX_PACKET_US, Packet, joined
 from pdavis_cv.recording.files import ProblemLog
 
 LONGEST_LAG_US = 500_000

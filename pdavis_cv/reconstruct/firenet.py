@@ -16,12 +16,7 @@ from pdavis_cv._checks import checked_threshold, output, sensor_shape
 from pdavis_cv._types import Events, Parameters, State
 from pdavis_cv.errors import WindowWarning
 from pdavis_cv.events import timed_events
-from pdavis_cv.reconstruct.base import (
-    WHOLE_SENSOR,
-    Estimate,
-    Needs,
-    Reconstructor,
-)
+from pdavis_cv.reconstruct.base import WHOLE_SENSOR, Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.onnx import model_shapes
 from pdavis_cv.reconstruct.runner import Runner, chosen_backend, make_runner
 from pdavis_cv.reconstruct.stream_clock import StreamClock, steps

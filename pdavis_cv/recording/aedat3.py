@@ -15,12 +15,7 @@ from numpy.typing import NDArray
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.aedat2.header import CHIP_SIZES
-from pdavis_cv.recording.base import (
-    IMU_DTYPE,
-    TRIGGER_DTYPE,
-    ApsFrame,
-    RecordingInfo,
-)
+from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, ApsFrame, RecordingInfo
 from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import Batch, cell_start

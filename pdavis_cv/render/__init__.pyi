@@ -37,12 +37,6 @@ from .overlay import (
     reliable as reliable,
     scale_bar as scale_bar,
 )
-from .quantity import (
-    colour_bgr as colour_bgr,
-    quantity_bgr as quantity_bgr,
-)
-from .strips import (
-    Line as Line,
-    chart as chart,
-)
+from .quantity import colour_bgr as colour_bgr, quantity_bgr as quantity_bgr
+from .strips import Line as Line, chart as chart
 from .tone import ToneCurve as ToneCurve

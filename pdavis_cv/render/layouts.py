@@ -10,12 +10,7 @@ from pdavis_cv._checks import whole_number
 from pdavis_cv._opencv import opencv
 from pdavis_cv._types import Image
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.render.colours import (
-    MASKED,
-    Picture,
-    aop_bgr,
-    dolp_bgr,
-)
+from pdavis_cv.render.colours import MASKED, Picture, aop_bgr, dolp_bgr
 from pdavis_cv.render.legends import DARK, even, panel, stack, tile
 from pdavis_cv.render.overlay import fade_aop, reliable
 from pdavis_cv.render.tone import ToneCurve

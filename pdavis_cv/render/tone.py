@@ -11,13 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv.render.colours import (
-    INVALID,
-    Mark,
-    Picture,
-    table_of,
-    through_table,
-)
+from pdavis_cv.render.colours import INVALID, Mark, Picture, table_of, through_table
 
 LOG_RANGE = 1023.0
 """White over black of the logarithmic curve: one count of a 10-bit converter."""

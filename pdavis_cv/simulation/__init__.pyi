@@ -9,10 +9,7 @@ from .camera import (
 from .dvs import DvsPixel as DvsPixel
 from .examples import example_truth as example_truth
 from .faults import Faults as Faults
-from .named import (
-    SCENES as SCENES,
-    named_scene as named_scene,
-)
+from .named import SCENES as SCENES, named_scene as named_scene
 from .optics import Optics as Optics
 from .patterns import (
     Fan as Fan,
@@ -32,8 +29,5 @@ from .scenes import (
     Sum as Sum,
 )
 from .stream import SimulatedRecording as SimulatedRecording
-from .sweeps import (
-    IrradianceSweep as IrradianceSweep,
-    MalusSweep as MalusSweep,
-)
+from .sweeps import IrradianceSweep as IrradianceSweep, MalusSweep as MalusSweep
 from .truth import Truth as Truth

@@ -16,13 +16,7 @@ from pdavis_cv.recording.memory import MemoryRecording
 from pdavis_cv.sensor import Layout, Sensor
 from pdavis_cv.simulation.aps import ApsPixel
 from pdavis_cv.simulation.bus import Bus
-from pdavis_cv.simulation.checks import (
-    affordable,
-    instance,
-    positive,
-    present,
-    require,
-)
+from pdavis_cv.simulation.checks import affordable, instance, positive, present, require
 from pdavis_cv.simulation.dvs import DvsPixel
 from pdavis_cv.simulation.faults import Faults
 from pdavis_cv.simulation.optics import Optics

@@ -7,13 +7,7 @@ import numpy as np
 
 from pdavis_cv._types import Events
 from pdavis_cv.simulation import noise
-from pdavis_cv.simulation.checks import (
-    fraction,
-    python_numbers,
-    require,
-    whole,
-    within,
-)
+from pdavis_cv.simulation.checks import fraction, python_numbers, require, whole, within
 
 _MOST_OFFSET_US = 10_000_000
 _LARGEST_DRIFT = 0.5

@@ -21,12 +21,7 @@ from pdavis_cv._checks import (
 from pdavis_cv._types import Events, Parameters, Records, State
 from pdavis_cv.events import FAR, checked_time, timed_events
 from pdavis_cv.pixel.model import LAGS_S, PixelModel
-from pdavis_cv.reconstruct.base import (
-    WHOLE_SENSOR,
-    Estimate,
-    Needs,
-    Reconstructor,
-)
+from pdavis_cv.reconstruct.base import WHOLE_SENSOR, Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.kalman.frames import (
     ANCHOR_DTYPE,
     COURSE_DTYPE,

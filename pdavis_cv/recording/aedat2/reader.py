@@ -9,18 +9,8 @@ from numpy.typing import NDArray
 
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.aedat2.addresses import camera_of
-from pdavis_cv.recording.aedat2.decoder import (
-    CHUNK_WORDS,
-    Decoder,
-    ImuScale,
-    Mark,
-)
-from pdavis_cv.recording.aedat2.header import (
-    DVS128,
-    SOURCE,
-    bias_currents,
-    read_header,
-)
+from pdavis_cv.recording.aedat2.decoder import CHUNK_WORDS, Decoder, ImuScale, Mark
+from pdavis_cv.recording.aedat2.header import DVS128, SOURCE, bias_currents, read_header
 from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.recording.facts import ASSUMED, CALLER, FILE, MEASURED, Fact, stated
 from pdavis_cv.recording.options import SourceOptions

@@ -11,12 +11,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.files import ProblemLog
-from pdavis_cv.recording.images.pictures import (
-    Images,
-    PictureFacts,
-    Pictures,
-    readable,
-)
+from pdavis_cv.recording.images.pictures import Images, PictureFacts, Pictures, readable
 from pdavis_cv.recording.limits import Budget
 
 _COUNTED = ("matroska", "mov")
