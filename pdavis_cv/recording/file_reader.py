@@ -41,7 +41,7 @@ class FileReader:
             raise ValueError(f"{self.path.name}: recording is closed")
         if offset < 0 or size <= 0:
             return b""
-        size, data = min(size, max(self.size - offset, 0)), b""
+        size, data = min(size, self.size - offset), b""
         try:
             while len(data) < size and (
                     part := self._pread(size - len(data), offset + len(data))):

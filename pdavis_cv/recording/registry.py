@@ -147,12 +147,12 @@ def is_recording(path: str | os.PathLike[str]) -> bool:
 
 def first_bytes(path: Path) -> bytes:
     """Return the first bytes of a file, b"" for a folder."""
-    if path.is_dir():
-        return b""
     try:
         with path.open("rb") as file:
             return file.read(_HEAD)
     except OSError as error:
+        if path.is_dir():
+            return b""
         scheme, colon, _ = str(path).partition(":")
         live = ""
         if colon and len(scheme) > 1 and scheme.isalpha():     # C: is a disk

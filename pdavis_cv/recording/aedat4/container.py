@@ -11,7 +11,6 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
 from xml.etree import ElementTree
 
 import lz4.frame
@@ -452,24 +451,12 @@ def _find_all(block: bytes, mark: bytes) -> Iterator[int]:
 
 
 def _streams(text: str) -> Iterator[Stream]:
-    root = ElementTree.fromstring(text.rstrip("\0"))
-    for node in _nodes(root):
-        attributes = _attributes(node)
-        kind = attributes.get("typeIdentifier", "")
-        if len(kind) == 4 and kind.isascii():
-            info = [child for child in node if child.get("name") == "info"]
-            for child in info:
-                attributes.update(_attributes(child))
-            yield Stream(int(node.get("name", "")), kind, attributes)
-
-
-def _nodes(root: Any) -> Iterator[Any]:
-    """Yield the nodes of streams, whose names are numbers, at any depth."""
-    for node in root.iter("node"):
-        if node.get("name", "").isdecimal():
-            yield node
-
-
-def _attributes(node: Any) -> dict[str, str]:
-    return {child.get("key", ""): child.text or "" for child in node
-            if child.tag == "attr"}
+    """Yield the streams: the nodes, at any depth, whose names are numbers."""
+    for node in ElementTree.fromstring(text.rstrip("\0")).iter("node"):
+        name = node.get("name", "")
+        if name.isdecimal():
+            attributes = {one.get("key", ""): one.text or ""
+                          for one in node.iter("attr")}
+            kind = attributes.get("typeIdentifier", "")
+            if len(kind) == 4 and kind.isascii():
+                yield Stream(int(name), kind, attributes)

@@ -12,6 +12,7 @@ from pdavis_cv import _kernels
 _U16 = struct.Struct("<H")
 _U32 = struct.Struct("<I")
 _I32 = struct.Struct("<i")
+_HEAD = struct.Struct("<II4s")
 _SCALARS = {code: struct.Struct("<" + code) for code in "bBhHiIqQf"}
 
 
@@ -33,8 +34,7 @@ class Table:
 
     def __init__(self, data: bytes | memoryview, at: int) -> None:
         self._data, self._at = data, at
-        back = _get(_I32, data, at)
-        self._vtable = at - back
+        self._vtable = at - _get(_I32, data, at)
         self._length = _get(_U16, data, self._vtable)
 
     def place(self, field: int) -> int:
@@ -84,13 +84,15 @@ def root_table(data: bytes | memoryview, identifier: bytes) -> Table:
     PayloadError
         If the size or the identifier is wrong.
     """
-    size = _get(_U32, data, 0)
+    try:
+        size, root, found = _HEAD.unpack_from(data)
+    except struct.error:
+        raise PayloadError(f"it has {len(data)} bytes") from None
     if size > len(data) - 4:
         raise PayloadError(f"it should hold {size + 4} bytes, but has {len(data)}")
-    if data[8:12] != identifier:
-        raise PayloadError(
-            f"it should be {identifier.decode()}, but is {bytes(data[8:12])!r}")
-    return Table(data, 4 + _get(_U32, data, 4))
+    if found != identifier:
+        raise PayloadError(f"it should be {identifier.decode()}, but is {found!r}")
+    return Table(data, 4 + root)
 
 
 def table_fields(

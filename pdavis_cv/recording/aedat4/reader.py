@@ -5,7 +5,6 @@ import contextlib
 from bisect import bisect_left
 from collections.abc import Iterator
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 from numpy.typing import NDArray
@@ -290,10 +289,10 @@ class Aedat4Recording(PiecewiseRecording):
     @cached_property
     def _trusted(self) -> bool:
         """Whether the index has the times of all packets, in order."""
-        for stream in self._streams.values():
-            times = [t for e in stream.entries for t in (e.start_us, e.stop_us)]
-            if None in times or any(a > b for a, b in pairwise((  # type: ignore
-                    NEVER, *times, -NEVER))):
+        for stream in self._streams.values() if self._file.indexed else ():
+            times: list[Any] = [NEVER, *(
+                t for e in stream.entries for t in (e.start_us, e.stop_us)), -NEVER]
+            if times != sorted(times):
                 return False
         return self._file.indexed
 
