@@ -48,10 +48,11 @@ def root():
 def _no_file_stays_open():
     before = _open_files()
     yield
-    if _open_files() - before:
+    left = _open_files() - before
+    if left:
         gc.collect()  # a traceback may hold one until its cycle is broken
-    left = {path for _, path in _open_files() - before}
-    assert not left, f"left open: {sorted(left)}"
+        left = _open_files() - before
+    assert not left, f"left open: {sorted(path for _, path in left)}"
 
 
 @pytest.fixture
@@ -126,9 +127,9 @@ def pytest_runtest_setup(item):
     whole = item.path.parent != ROOT / "tests" or any(
         item.get_closest_marker(name) for name in ("accuracy", "gate"))
     for module, name, few in (
-            (learn, "STARTS_US", (0,)), (learn, "MOST_SEARCHED", (400, 400)),
-            (learn, "MOST_TRIED", 400), (learn, "MOST_FURTHER", 400),
-            (rows, "MOST_ROWS", 1000)):
+            (learn, "STARTS_US", (0,)), (learn, "MOST_SEARCHED", (150, 150)),
+            (learn, "MOST_TRIED", 150), (learn, "MOST_FURTHER", 150),
+            (learn, "ROUNDS", 2), (rows, "MOST_ROWS", 300)):
         usual = _USUAL.setdefault(name, getattr(module, name))
         if getattr(module, name) != (usual if whole else few):
             setattr(module, name, usual if whole else few)

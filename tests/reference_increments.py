@@ -1,6 +1,7 @@
 """A plain version of the filter of increments, written to be read: one pixel at a time,
 all events at hand.  Symbols and numbers of equations are those of
 docs/theory/kalman.md."""
+import bisect
 import math
 
 import numpy as np
@@ -50,7 +51,7 @@ class Pixel:
 
     def last(self, t):
         """Index of the last event at or before t, -1: none."""
-        return int(np.searchsorted(self.t, t, "right")) - 1
+        return bisect.bisect_right(self.t, t) - 1
 
     def open_event(self, t, known):
         """Time of the event of the silence that is open at t, or None."""
@@ -103,7 +104,7 @@ class Pixel:
         if f0 + k <= 0:
             return 0.0
         low, high = -0.85, 2.0
-        for _ in range(60):
+        for _ in range(40):
             u = (low + high) / 2
             if u * (f0 + k * light * math.exp(u)) < slope / (2 * math.pi):
                 low = u

@@ -157,10 +157,11 @@ def test_tendon_finds_the_load_and_writes_everything(
     opens_by(monkeypatch, opener({"a": recording}))
     out = tmp_path / "out"
     assert tendon.main([
-        "a", "-o", str(out), "--region", "fibre=8,6,16,12", "--fps", "40",
+        "a", "-o", str(out), "--region", "fibre=8,6,16,12", "--fps", "30",
         "--load", str(tmp_path / "load.csv"), "--offset", "0.2",
         "--thickness-um", "300", "--wavelength-nm", "530"]) == 0
-    text = capsys.readouterr().out
+    text, err = capsys.readouterr()
+    assert "lag and hysteresis cannot be told" not in err
     hz = float(re.search(r"fibre: ([\d.]+) ", text).group(1))
     zero = float(re.search(r"its zero lies at ([\d.]+) s", text).group(1))
     assert zero == pytest.approx(0.2, abs=0.002)
@@ -168,7 +169,7 @@ def test_tendon_finds_the_load_and_writes_everything(
     assert "extinction ratio assumed (34.5, the middle of 25 to 44)" in text
     table = pandas.read_csv(out / "traces.csv")
     images = list(fuse(recording, extinction_ratio=34.5,
-                       times_us=grid_times(recording, 40, None, None)))
+                       times_us=grid_times(recording, 30, None, None)))
     mean = [[float(p[6:18, 8:24].mean(dtype=float)) for p in (f.s0, f.s1, f.s2)]
             for f in images if f.valid[6:18, 8:24].all()]
     s0, s1, s2 = np.array(mean).T
@@ -178,7 +179,7 @@ def test_tendon_finds_the_load_and_writes_everything(
     np.testing.assert_allclose(table["retardance_deg"], np.rad2deg(delta), rtol=1e-5)
     np.testing.assert_allclose(
         table["birefringence"], delta * 0.530 / (2 * np.pi * 300), rtol=1e-5)
-    assert table["force_n"].between(19, 31).sum() > 40
+    assert table["force_n"].between(19, 31).sum() > 30
     tifffile = pytest.importorskip("tifffile")
     with tifffile.TiffFile(out / "maps.ome.tif") as file:
         assert file.asarray().shape == (8, 24, 32)
@@ -203,26 +204,24 @@ def test_tendon_finds_the_load_and_writes_everything(
                      "tendon.webm", "report.html"}
 
 
-@pytest.mark.parametrize(("given", "zero", "loop"), [
-    (["--offset", "0.2"], 0.2, True),
-    pytest.param(["--offset", "0.2", "--within", "0.15"], 0.2, False,
-                 marks=pytest.mark.gate),
-    (["--offset", "0.2", "--within", "0.15", "--load-sign", "-1"], 0.1, False)])
-def test_only_a_known_offset_gives_a_loop(
-        tmp_path, pulled, monkeypatch, capsys, given, zero, loop):
+@pytest.mark.parametrize(("given", "zero"), [
+    pytest.param([], 0.2, marks=pytest.mark.gate), (["--load-sign", "-1"], 0.1)])
+def test_an_offset_that_is_not_known_gives_no_loop(
+        tmp_path, pulled, monkeypatch, capsys, given, zero):
     pytest.importorskip("matplotlib")
     recording, _, scene = pulled
     load_csv(tmp_path / "load.csv", scene)
     opens_by(monkeypatch, opener({"a": recording}))
     assert tendon.main(["a", "-o", str(tmp_path), "--no-video", "--fps", "50", "--load",
-                        str(tmp_path / "load.csv"), *given]) == 0
+                        str(tmp_path / "load.csv"), "--offset", "0.2", "--within",
+                        "0.15", *given]) == 0
     said = capsys.readouterr()
     found = float(re.search(r"its zero lies at ([\d.]+) s", said.out).group(1))
     found += recording.info.start_us / 1e6
     assert found == pytest.approx(zero, abs=0.003) or (
         "-1" in given and found == pytest.approx(0.3, abs=0.003))
-    assert (tmp_path / "loop.csv").exists() == loop
-    assert ("lag and hysteresis cannot be told" in said.err) != loop
+    assert not (tmp_path / "loop.csv").exists()
+    assert "lag and hysteresis cannot be told" in said.err
 
 
 @pytest.mark.gate

@@ -1,4 +1,5 @@
 """The commands, through main() as the console script calls it."""
+import functools
 import json
 import os
 import pty
@@ -268,17 +269,21 @@ def test_the_top_of_dolp_colours_the_same_numbers_otherwise(tmp_path):
     assert (want != render.dolp_bgr(image.dolp, image.valid)).any()
 
 
-def exported(path, *options):
-    """Return AoP of the fan as `pdavis export --bare` shows it, and its image."""
-    fan = example_recording("fan")
-    assert run("export", fan, "-o", path, "--at", "0.3", "--bare", "--method", "kalman",
-               "--set", "mode=offline", "--clock-offset", "none", "--quantities",
-               "aop", *options) == 0
-    with pdavis_cv.open_recording(fan) as recording:
+@functools.cache
+def image_of_fan():
+    with pdavis_cv.open_recording(example_recording("fan")) as recording:
         image, = pdavis_cv.fuse(
             recording, method="kalman", mode="offline", clock_offset_us=None,
             times_us=[recording.info.start_us + 300_000])
-    return cv2.imread(str(path)), image
+    return image
+
+
+def exported(path, *options):
+    """Return AoP of the fan as `pdavis export --bare` shows it, and its image."""
+    assert run("export", example_recording("fan"), "-o", path, "--at", "0.3", "--bare",
+               "--method", "kalman", "--set", "mode=offline", "--clock-offset", "none",
+               "--quantities", "aop", *options) == 0
+    return cv2.imread(str(path)), image_of_fan()
 
 
 def test_angles_fade_by_dolp_unless_asked_otherwise(tmp_path):
