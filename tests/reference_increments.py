@@ -104,7 +104,7 @@ class Pixel:
         if f0 + k <= 0:
             return 0.0
         low, high = -0.85, 2.0
-        for _ in range(40):
+        for _ in range(30):
             u = (low + high) / 2
             if u * (f0 + k * light * math.exp(u)) < slope / (2 * math.pi):
                 low = u
@@ -287,8 +287,8 @@ class Filter:
 
     @staticmethod
     def exposure(frame, at):
-        return tuple(int(np.broadcast_to(edge, frame.dn.shape[1])[at[1]]) for edge in (
-            frame.exposure_start_us, frame.exposure_end_us))
+        return tuple(int(edge[min(at[1], len(edge) - 1)]) for edge in map(np.ravel, (
+            frame.exposure_start_us, frame.exposure_end_us)))
 
     def nodes(self, frame, known, t=None):
         """Nodes of a frame and what `around` says: as known then; a silence that ended
@@ -298,9 +298,10 @@ class Filter:
         newest = max([0, *(int(1e6 * lag) for i, lag in enumerate(LAGS_S) if lag and
                            1e6 * lag <= ahead and (
             np.any([self.m.own[i], self.m.cell[i], self.m.near[i]])))])
+        middles = np.broadcast_to(frame.column_mid_us, self.shape[1]).tolist()
         for at, p in np.ndenumerate(self.pixels):
             begin, end = self.exposure(frame, at)
-            middle = int(np.broadcast_to(frame.column_mid_us, self.shape[1])[at[1]])
+            middle = middles[at[1]]
             now, here = known, known
             if t is not None and p.last(t) >= 0:
                 e = p.t[p.last(t)]

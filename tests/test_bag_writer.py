@@ -158,9 +158,9 @@ def test_images_of_a_copy_are_fused_as_those_of_its_source(tmp_path):
 def test_export_writes_planes_a_picture_and_camera_info(tmp_path, name, capsys):
     path = tmp_path / name
     assert export([str(example_recording("fan")), "-o", str(path), "--fps", "20",
-                   "--bare"]) == 0
+                   "--method", "cf", "--bare"]) == 0
     with open_recording(example_recording("fan")) as recording:
-        images = list(pdavis_cv.fuse(recording, fps=20))
+        images = list(pdavis_cv.fuse(recording, fps=20, method="cf"))
     found = {}
     for topic, t, message in messages(path):
         found.setdefault(topic, []).append((t, message))

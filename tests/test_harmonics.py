@@ -199,6 +199,11 @@ def test_events_tell_the_frequency_where_frames_alias(hz):
     region = Roi.from_rectangle(4, 4, 28, 20)
     found = event_hz(recording, [region], recording.info.layout, 0, 3_000_000)
     assert found == pytest.approx(hz, abs=0.1)
+
+
+def test_events_of_still_light_have_no_frequency():
+    camera = Camera.preset("davis346", seed=1001, size=(28, 36))
+    region = Roi.from_rectangle(4, 4, 28, 20)
     still, _ = camera.record(FlatLight(dolp=0.3), 1.0)
     assert event_hz(still, [region], still.info.layout, 0, 1_000_000) is None
     assert event_hz(still, [region], still.info.layout, 0, 10_000) is None

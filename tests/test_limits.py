@@ -315,7 +315,7 @@ def test_what_is_searched_grows_with_the_file(suffix, step, tmp_path, looked_at)
 
     assert searched(400) <= 4
     assert searched(1600) <= 4
-    assert searched(25_600) <= 4
+    assert searched(6400) <= 4
 
 
 @pytest.mark.filterwarnings("ignore::pdavis_cv.DamagedFileWarning")

@@ -297,5 +297,5 @@ def test_a_mistake_on_the_command_line_is_answered(line, said, tmp_path, monkeyp
 def test_a_region_without_a_valid_pixel_is_named(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["tendon", str(example_recording("fan")), "-o", "t", "--region",
-                 "hub=0,0,4,4", "--fps", "50"]) == 2
+                 "hub=0,0,4,4", "--fps", "50", "--method", "cf"]) == 2
     assert "region hub: its DoLP is known in 0 images" in capsys.readouterr().err

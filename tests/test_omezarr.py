@@ -85,7 +85,8 @@ def test_a_small_stack_has_one_level(tmp_path):
 
 def test_export_writes_it_and_refuses_a_folder_that_is_there(tmp_path, capsys):
     out = tmp_path / "fused.ome.zarr"
-    arguments = [str(example_recording("fan")), "-o", str(out), "--fps", "20", "--json"]
+    arguments = [str(example_recording("fan")), "-o", str(out), "--fps", "20", "--json",
+                 "--method", "cf"]
     assert main([*arguments, "--resume"]) == 0
     told = json.loads(capsys.readouterr().out)
     group = zarr.open_group(out, mode="r")

@@ -55,11 +55,12 @@ def test_messages_are_fused_as_the_recording_is(package, messages):
     from pdavis_ros.fuser import Fuser
     info, packets = of_recording()
     frames = [frame for packet in packets for frame in packet.frames]
-    fuser = Fuser(exposure_us=round(1000 * frames[0].exposure_ms), fps=50)
+    fuser = Fuser(exposure_us=round(1000 * frames[0].exposure_ms), fps=50,
+                  method="cf")
     found = {image.t_us: image for image in fed(fuser, messages)}
     fuser.close()
     assert fuser.dropped == 0
-    with pdavis_cv.live.Session(info, fps=50) as session:
+    with pdavis_cv.live.Session(info, fps=50, method="cf") as session:
         wanted = {image.t_us: image for packet in packets
                   for image in session.push(packet)}
     both = sorted(found.keys() & wanted.keys())

@@ -44,11 +44,13 @@ def cameras(monkeypatch):
 
 
 def test_a_webcam_shows_the_pictures_of_a_capture(cameras, capsys):
-    assert main(["webcam", SOURCE, "--fps", "20", "--output", "dolp_bgr"]) == 0
+    assert main(["webcam", SOURCE, "--fps", "20", "--method", "cf", "--output",
+                 "dolp_bgr"]) == 0
     [camera] = cameras
     assert (camera.size, camera.fps, camera.fmt) == ((56, 56), 20, "bgr")
     assert camera.closed
-    with pdavis_cv.VideoCapture(SOURCE, fps=20, output="dolp_bgr") as capture:
+    with pdavis_cv.VideoCapture(
+            SOURCE, fps=20, method="cf", output="dolp_bgr") as capture:
         wanted = [picture for ok, picture in iter(capture.read, (False, None))]
     np.testing.assert_array_equal(camera.sent, wanted)
     assert capsys.readouterr().out.splitlines() == [
