@@ -267,15 +267,12 @@ def _correlations(
     known = (~load.inside_gap(theirs)).astype(np.float64)
     mean = np.average(b, weights=known)
     a, b = a - a.mean(), (b - mean) * known
-    one = np.ones_like(a)
-    # Sums of samples, values, squares and products over the overlap at each lag.
-    # scipy.signal, which has the same, takes half a second to load.
-    size = len(a) + len(b) - 1
-    fast = 1 << (size - 1).bit_length()
-    ones, as_, aas = (np.fft.rfft(each, fast) for each in (one, a, a * a))
-    knowns, bs, bbs = (np.fft.rfft(each[::-1], fast) for each in (known, b, b * b))
-    n, sa, sb, saa, sbb, sab = (np.fft.irfft(each, fast)[:size] for each in (
-        ones * knowns, as_ * knowns, ones * bs, aas * knowns, ones * bbs, as_ * bs))
+    # Sums of samples, values, squares and products over the overlap at each lag; what
+    # scipy.signal has for it takes half a second to load.
+    x, y = (np.fft.rfft(np.stack(each), len(a) + len(b) - 1) for each in (
+        (np.ones_like(a), a, a * a), (known[::-1], b[::-1], b[::-1] ** 2)))
+    (n, sb, sbb), (sa, sab, _), (saa, _, _) = np.fft.irfft(
+        x[:, None] * y, len(a) + len(b) - 1)
     n = np.maximum(np.rint(n), 1)
     va, vb = saa - sa * sa / n, sbb - sb * sb / n
     enough = n >= max(16, 0.25 * min(len(a), float(known.sum())))
