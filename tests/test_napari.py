@@ -82,6 +82,7 @@ def test_the_sample_recordings_are_offered(tmp_path):
     assert [facts["units"] for _, facts, _ in layers] == [("s", "pixel", "pixel")] * 3
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")   # napari's own
 def test_napari_takes_the_layers():
     napari = pytest.importorskip("napari")
     for data, facts, kind in napari_plugin.fan():

@@ -2,6 +2,7 @@ import pickle
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -208,6 +209,12 @@ def test_the_quicker_backend_is_chosen_and_the_lack_of_both_is_said(monkeypatch)
         Joint((4, 4), **THETAS)
     with pytest.raises(ValueError, match="backend must be one of auto, onnxruntime"):
         chosen_backend("torch")
+
+
+def test_an_opencv_that_computes_something_else_is_refused(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cv2", SimpleNamespace(__version__="4.7.0-dev"))
+    with pytest.raises(ImportError, match=r"onnxruntime, or OpenCV 4\.8 .*is 4\.7\.0"):
+        make_runner(Weights.shipped("firenet"), 4, 4, "cv2")
 
 
 # ---- the methods ------------------------------------------------------------

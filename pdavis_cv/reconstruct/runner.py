@@ -76,7 +76,12 @@ def _onnxruntime(model: bytes, threads: int) -> Runner:
 
 
 def _cv2(model: bytes) -> Runner:
-    net = opencv().dnn.readNetFromONNX(np.frombuffer(model, np.uint8))
+    cv2 = opencv()
+    if tuple(map(int, cv2.__version__.split(".")[:2])) < (4, 8):
+        # 4.6 cannot read the graph, and 4.7 computes something else.
+        raise ImportError("networks need onnxruntime, or OpenCV 4.8 or later, this is "
+                          f"{cv2.__version__}: pip install onnxruntime")
+    net = cv2.dnn.readNetFromONNX(np.frombuffer(model, np.uint8))
 
     def run(x: Array, h1: Array, h2: Array) -> tuple[Array, Array, Array]:
         for name, value in zip(INPUTS, (x, h1, h2), strict=True):
