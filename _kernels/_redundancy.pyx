@@ -9,8 +9,8 @@ from libc.stdint cimport int32_t, int64_t, uint8_t, uint16_t, uint32_t
 from libc.string cimport memset
 
 from _kernels._increments cimport (
-    NEVER, camera_of, camera_t, drift_of, lead_of, look, look_t, part_of, pixel_t,
-    stored_t)
+    DOUBTFUL, NEVER, camera_of, camera_t, drift_of, lead_of, look, look_t, part_of,
+    pixel_t, stored_t)
 from _kernels._increments_frames cimport corner_of
 from _kernels._lamp cimport lamp_flickers, lamp_of, lamp_t, ripple
 from _kernels._math cimport exp_f, log_f
@@ -442,7 +442,8 @@ def saturated_events(const event_t[::1] events not None,
 
 
 def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not None,
-                   float prior, float excess, float valid_variance, shown not None):
+                   float prior, float excess, double dim, float valid_variance,
+                   shown not None):
     """Weigh an estimate of frames and what events tell of the same macropixels.
 
     cells is (pixels, missing): by place in the cell and macropixel its index on the
@@ -450,7 +451,8 @@ def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not 
     is what events tell, in planes of the sensor that the macropixels make up row by
     row.  bound holds the last samples, which stand for pixels that are not known; prior
     is the variance where the mean squares of the four are taken equal, excess what that
-    of the events is multiplied by; shown is (log intensity, variance, valid).
+    of the events is multiplied by, and dim the samples up to which frames are right
+    where both contradict each other; shown is (log intensity, variance, valid).
     """
     cdef const Py_ssize_t[:, ::1] pixels
     cdef const uint8_t[:, ::1] missing
@@ -459,7 +461,8 @@ def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not 
     cdef float[:, ::1] log, variance
     cdef uint8_t[:, ::1] valid
     cdef Py_ssize_t n, columns, size, i, k, at, y0, x0, y, x
-    cdef double apart, level, total, offset, weight, told
+    cdef double apart, level, total, offset, weight, told, off, square, far, top
+    cdef int number
     cdef bint known
     check_given((*cells, *seen, *shown))
     pixels, missing = cells
@@ -486,7 +489,8 @@ def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not 
     with nogil:
         for i in range(n):
             # The offset of a macropixel: from pixels that are known, else the bound.
-            apart = level = total = 0.0
+            apart = level = total = square = far = 0.0
+            top, number = (&bound[0, 0])[pixels[0, i]], 0
             y0 = i // columns * 2
             x0 = i % columns * 2
             for k in range(4):
@@ -494,17 +498,23 @@ def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not 
                 y = y0 + k // 2
                 x = x0 + k % 2
                 level += CHANNEL_SHARE * (&bound[0, 0])[at]
+                top = max(top, <double>(&bound[0, 0])[at])
                 if not missing[k, i]:
                     weight = 1.0 / ((&variance[0, 0])[at] + excess * (
                         seen_variance[y, x] + prior * quality[y, x]))
+                    off = (&log[0, 0])[at] - seen_log[y, x]
+                    number += 1
                     total += weight
-                    apart += weight * ((&log[0, 0])[at] - seen_log[y, x])
+                    apart += weight * off
+                    square += weight * off * off
             # If they tell less of it than `valid_variance` asks for, it is not used.
             # Those that are not valid, sampled once long ago, are as good as unknown
             # where events tell enough.
             if total * valid_variance < 1.0:
                 total = 0.0
             offset = apart / total if total > 0.0 else level
+            if total > 0.0 and number > 1 and top <= dim:
+                far = (square - apart * offset) / (DOUBTFUL * (number - 1))
             for k in range(4):
                 at = pixels[k, i]
                 y = y0 + k // 2
@@ -518,7 +528,8 @@ def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not 
                     (&log[0, 0])[at] = (&bound[0, 0])[at]
                 if not enough[y, x]:
                     continue
-                told = excess * (seen_variance[y, x] + prior * quality[y, x])
+                told = (1.0 + far * far) * excess * (
+                    seen_variance[y, x] + prior * quality[y, x])
                 if total > 0.0:
                     told += 1.0 / total     # of the offset
                 weight = (&variance[0, 0])[at] / ((&variance[0, 0])[at] + told) if (

@@ -259,7 +259,7 @@ def saturated_events(
 def saturated_fill(
     cells: tuple[NDArray[np.intp], _U8],
     seen: tuple[_F32, _F32, _U8, _F32], bound: _F32, prior: float, excess: float,
-    valid_variance: float, shown: tuple[_F32, _F32, _U8],
+    dim: float, valid_variance: float, shown: tuple[_F32, _F32, _U8],
 ) -> None: ...
 def sort_events(
     events: NDArray[Any], start: int, counts: NDArray[np.int32], out: NDArray[Any]

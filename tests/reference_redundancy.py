@@ -92,7 +92,7 @@ def saturated_events(events, cell_of, columns):
     return moved[cell >= 0]
 
 
-def saturated_fill(cells, seen, bound, prior, excess, valid_variance, shown):
+def saturated_fill(cells, seen, bound, prior, excess, dim, valid_variance, shown):
     """Weigh (log, variance, valid) and what events tell, by their variances."""
     pixels, missing = cells
     columns = seen[0].shape[1] // 2
@@ -111,7 +111,12 @@ def saturated_fill(cells, seen, bound, prior, excess, valid_variance, shown):
             gone = ~kept
             log.ravel()[at[gone]] = bound.ravel()[at[gone]]
         else:
-            offset = (weight * (log.ravel()[at] - told)).sum() / weight.sum()
+            apart = log.ravel()[at] - told
+            offset = (weight * apart).sum() / weight.sum()
+            known = 4 - gone.sum()
+            square = (weight * (apart - offset)**2).sum()
+            if known > 1 and bound.ravel()[at].max() <= dim:
+                spread = spread * (1 + (square / (known - 1) / 9)**2)
             spread = spread + 1 / weight.sum()
         own = variance.ravel()[at].astype(float)
         share = np.where(gone, 1, own / (own + spread))

@@ -1,3 +1,4 @@
+import math
 import pickle
 
 import numpy as np
@@ -248,7 +249,8 @@ def saturated(seed=0, shape=(6, 8)):
     shown = [rng.normal(size=shape).astype(np.float32),
              rng.uniform(0.01, 1, shape).astype(np.float32), np.zeros(shape, "u1")]
     return [(pixels.astype(np.intp), missing), tuple(seen),
-            rng.normal(size=shape).astype(np.float32), 0.09, 1.2, 0.25, tuple(shown)]
+            rng.normal(size=shape).astype(np.float32), 0.09, 1.2, 1.0, 0.25,
+            tuple(shown)]
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -283,6 +285,21 @@ def test_a_sample_of_long_ago_makes_nothing_invalid():
     assert abs(now[0][0, 0] - log[0, 0]) > 0.1
 
 
+def test_frames_count_where_four_pixels_see_no_one_polarization():
+    cells, seen, *others, shown = saturated()
+    cells[1][:], seen[2][:], seen[1][:], seen[3][:] = 0, 1, 0.01, 0
+    shown[1][:] = 0.01
+
+    def moved(dim):
+        out = tuple(plane.copy() for plane in shown)
+        others[3] = dim
+        _kernels.saturated_fill(cells, seen, *others, out)
+        return np.abs(out[0] - shown[0]).ravel()[cells[0]].max()
+
+    assert moved(-math.inf) > 0.3
+    assert moved(math.inf) < 0.3 * moved(-math.inf)
+
+
 def test_filling_refuses_what_does_not_fit():
     cells, seen, bound, *_, shown = saturated()
     pixels, missing = cells
@@ -293,7 +310,7 @@ def test_filling_refuses_what_does_not_fit():
             (1, (*seen[:3], seen[3][:1]), "planes of one shape"),
             (1, tuple(plane[:2].copy() for plane in seen), "all macropixels"),
             (2, bound[:1], "one shape"),
-            (6, (*shown[:2], shown[2][:1]), "one shape")):
+            (7, (*shown[:2], shown[2][:1]), "one shape")):
         given = saturated()
         given[at] = wrong
         with pytest.raises(ValueError, match=f"saturated_fill: .*{message}"):

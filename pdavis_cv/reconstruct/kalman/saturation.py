@@ -81,6 +81,7 @@ class Saturated:
         # By macropixel of the sensor: its number i, -1: none.
         self._cell_of = np.empty((0, 0), np.int32)
         self._bound = np.zeros(shape, np.float32)
+        self._half = math.inf   # log of half of full scale
         self._level: float | None = None    # log intensity that `_law` is evaluated at
         self._dim = False       # whether most of these pixels are dim, not saturated
         self._early: tuple[NDArray[Any], ...] = ()  # events before the first frame
@@ -159,15 +160,16 @@ class Saturated:
         """Take a frame: its log samples and their variance, 0 where not usable."""
         # The sample of a saturated pixel is full scale, a lower bound of its light.
         self._bound = np.ascontiguousarray(sample)
+        level = math.log(frame.full_scale_dn) - float(log_exposure(frame)[0])
+        self._half = level - math.log(2)
         if self._level is None:
-            level = math.log(frame.full_scale_dn) - float(log_exposure(frame)[0])
             poor = (noise <= 0) | (noise > DIM_VARIANCE)
             pixels = _cells_with(poor)
             if pixels.size:
                 # Photoreceptors are the faster, the brighter these pixels are.
                 light = min(level, float(np.median(sample[poor])))
                 # A saturated pixel's sample is full scale.
-                self._make(pixels, light, dim=light < level - math.log(2))
+                self._make(pixels, light, dim=light < self._half)
             else:
                 self._level = level
             self._begin_with(frame.mid_us, workers)
@@ -236,8 +238,8 @@ class Saturated:
         _kernels.saturated_fill(
             (self._pixels, missing),
             (estimate.log_intensity, estimate.variance, estimate.valid.view(np.uint8),
-             self._method.quality), self._bound, PRIOR_SIGMA**2, EXCESS, VALID_VARIANCE,
-            (log, variance, valid.view(np.uint8)))
+             self._method.quality), self._bound, PRIOR_SIGMA**2, EXCESS,
+            self._half, VALID_VARIANCE, (log, variance, valid.view(np.uint8)))
 
     def _missing_of(
         self, unknown: NDArray[np.intp]
@@ -254,6 +256,7 @@ class Saturated:
     def assign(self, other: Saturated) -> None:
         """Copy the state of an equal object."""
         self._model, self._bound = other._model, other._bound
+        self._half = other._half
         self._thresholds, self._early = other._thresholds, other._early
         self._ratio_sigma, self._dim = other._ratio_sigma, other._dim
         if other._method is None or other._level is None:
@@ -266,13 +269,14 @@ class Saturated:
 
     def state(self) -> State:
         """Return copies of everything."""
-        return {"bound": self._bound, "pixels": self._pixels, "level": self._level,
-                "dim": self._dim, "early": self._early,
+        return {"bound": self._bound, "half": self._half, "pixels": self._pixels,
+                "level": self._level, "dim": self._dim, "early": self._early,
                 "method": None if self._method is None else self._method.snapshot()}
 
     def restore(self, state: State) -> None:
         """Return to what `state` returned, which is copied."""
         self._bound, self._level = state["bound"], state["level"]
+        self._half = state["half"]
         self._early, self._method = state["early"], None
         if state["method"] is not None:
             self._make(state["pixels"], state["level"], state["dim"])
