@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pdavis_cv import WeightsError
-from pdavis_cv.reconstruct.checkpoint import firenet_weights, read_state_dict
+from pdavis_cv.reconstruct.checkpoint import _Tensor, firenet_weights, read_state_dict
 from pdavis_cv.reconstruct.weights import Weights
 from pdavis_cv.tools.main import main
 
@@ -329,6 +329,14 @@ def test_legacy_storages_of_every_type_stand_one_after_the_other(tmp_path, kind,
     np.testing.assert_array_equal(found["one"], np.ascontiguousarray(one.T.copy().T))
     np.testing.assert_array_equal(found["two"], two[1:7:2])
     assert found["two"].dtype == np.dtype(dtype)
+
+
+def test_a_tensor_keeps_to_the_memory_of_its_storage():
+    numbers = np.arange(12.0)
+    assert _Tensor()(numbers, 2, (2, 3), (4, 1)).tolist() == [[2, 3, 4], [6, 7, 8]]
+    assert _Tensor()(numbers[::2], 1, (2,), (2,)).tolist() == [2, 6]
+    # As storages whose numbers are not known yet.
+    assert _Tensor()(np.broadcast_to(numbers[:1], 9), 0, (9,), (1,)).tolist() == [0] * 9
 
 
 def test_a_legacy_view_is_a_part_of_its_storage(tmp_path):

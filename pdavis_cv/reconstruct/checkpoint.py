@@ -69,7 +69,7 @@ class _Tensor:
             raise ValueError(
                 f"a tensor of size {size} that ends at {last} of {len(storage)}")
         return np.lib.stride_tricks.as_strided(
-            storage[offset:], size, [s * storage.itemsize for s in stride],
+            storage[offset:], size, [s * storage.strides[0] for s in stride],
             writeable=False).copy()
 
 
