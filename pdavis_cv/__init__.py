@@ -14,8 +14,11 @@ __all__ += ["__version__"]
 
 
 def __getattr__(name: str) -> Any:
-    if name.startswith("_") or name in __all__:
+    if name.startswith("_"):
         return _lazy(name)
+    if name in __all__:
+        from pdavis_cv._door import public
+        return public(__name__, name, _lazy(name))
     from pdavis_cv.registry import instead
     rooms = [room for room in ("analysis", "export", "live", "render", "simulation")
              if name in _lazy(room).__all__]

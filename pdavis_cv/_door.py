@@ -36,21 +36,23 @@ def attached(package: str, file: str) -> tuple[Any, Any, list[str]]:
     """
     get, names, every = lazy_loader.attach_stub(package, file)
 
-    def found(name: str) -> Any:
-        one = get(name)
-        if inspect.isfunction(one):
-            one = explained(one)
-            one.__module__ = package    # where it is found, by pickle too
-        elif inspect.isclass(one) and not issubclass(one, Exception):
-            for base in one.__mro__:
-                make = vars(base).get("__init__")
-                if base.__module__.startswith("pdavis_cv") and inspect.isfunction(
-                        make) and not hasattr(make, "__wrapped__"):
-                    base.__init__ = explained(make)     # type: ignore[misc]
-        vars(sys.modules[package])[name] = one
-        return one
+    return lambda name: public(package, name, get(name)), names, every
 
-    return found, names, every
+
+def public(package: str, name: str, one: Any) -> Any:
+    """Return a public name's object as it is found from now on."""
+    if inspect.isfunction(one):
+        one = explained(one)
+        one.__module__ = package    # where it is found, by pickle too
+    elif inspect.isclass(one) and not issubclass(one, Exception) and (
+            name != "VideoCapture"):    # it errs as cv2's does
+        for base in one.__mro__:
+            make = vars(base).get("__init__")
+            if base.__module__.startswith("pdavis_cv") and inspect.isfunction(
+                    make) and not hasattr(make, "__wrapped__"):
+                base.__init__ = explained(make)     # type: ignore[misc]
+    vars(sys.modules[package])[name] = one
+    return one
 
 
 def explained(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -121,7 +123,7 @@ def fits(value: Any, hint: Any) -> bool:
     kind, inside = typing.get_origin(hint), typing.get_args(hint)
     if kind is np.ndarray:
         return isinstance(value, np.ndarray) and value.dtype.kind in (
-            "biufcV" if "Any" in str(hint) else "biufc")
+            "biufcV" if "Any" in str(inside[-1]) else "biufc")
     if hint == ArrayLike:
         with contextlib.suppress(ValueError):
             return np.asarray(value).dtype.kind in "biufc"

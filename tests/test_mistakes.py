@@ -49,7 +49,7 @@ def test_only_one_plane_is_coloured(image, colour):
     (lambda path: pdavis_cv.write_aedat4(path, "x.aedat4"), "recording must be .* str"),
     (lambda path: pdavis_cv.write_aedat2(path, None), "recording must be .* NoneType"),
     (lambda path: pdavis_cv.Aedat2Writer(path, sensor_size=None), "sensor_size must"),
-    (lambda path: pdavis_cv.Analyser({}), "analyser must be .* got dict"),
+    (lambda path: pdavis_cv.Analyser({}), "response must be .* got dict"),
     (lambda path: pdavis_cv.Calibration(sensor_size=None), "sensor_size must"),
     (lambda path: pdavis_cv.PolarFrame(None, t_us=0), "quad must be four planes")])
 def test_an_error_names_the_argument_of_what_was_called(call, said, tmp_path):

@@ -121,10 +121,9 @@ def subtract_background(
     ValueError
         If an array does not hold three planes.
     """
-    s, b = planes("stokes", stokes, 3), planes("background", background, 3)
+    s = planes("stokes", stokes, 3)
+    b = fitting("background", planes("background", background, 3), s.shape)
     ratio = np.full((2, *b.shape[1:]), np.nan)
     np.divide(b[1:], b[:1], out=ratio, where=np.broadcast_to(b[:1] > 0, ratio.shape))
-    out = np.empty(np.broadcast_shapes(s.shape, b.shape))
-    out[0] = s[0]
-    out[1:] = s[1:] - ratio * s[0]
-    return out
+    s[1:] -= ratio * s[0]
+    return s

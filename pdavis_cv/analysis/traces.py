@@ -303,7 +303,7 @@ def event_counts(
     ValueError
         If the edges do not increase.
     """
-    edges = np.asarray(edges_us, np.int64)
+    edges = floats("edges_us", edges_us, np.int64)
     if edges.ndim != 1 or len(edges) < 2 or np.any(np.diff(edges) <= 0):
         raise ValueError("edges_us must be two or more increasing times")
     masks = [roi.mask(recording.info.sensor_size) for roi in rois]

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from pdavis_cv._checks import MOST_ANGLE, real_number
 from pdavis_cv.polarimetry import PolarFrame
 
 
@@ -34,8 +35,10 @@ def found_zero(
     Raises
     ------
     ValueError
-        If no pixel is valid and polarized.
+        If no pixel is valid and polarized, or `known` is no angle.
     """
+    if not abs(real_number(known)) <= MOST_ANGLE:
+        raise ValueError(f"known must lie within {MOST_ANGLE:g} of 0, got {known!r}")
     means, parts = [], []
     for image in images:
         seen = np.exp(2j * image.aop[image.valid & (image.dolp >= least_dolp)])

@@ -116,7 +116,11 @@ def write_maps(
         If tifffile (extra ``[export]``) is not installed.
     OSError
         If it cannot be written.
+    ValueError
+        If there are no maps, or their shapes differ.
     """
+    if len({np.shape(values) for values, _ in maps.values()}) != 1:
+        raise ValueError(f"maps must be of one shape, got {list(maps)}")
     named = [f"{name} ({unit})" if unit else name for name, (_, unit) in maps.items()]
     stack = np.stack([values for values, _ in maps.values()]).astype("<f4")
     with write_beside(path) as part, tifffile().TiffWriter(

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import Place, named, no_link, sole, write_beside
+from pdavis_cv._checks import positive
 from pdavis_cv.export.embedded import to_json
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import chosen
@@ -64,9 +65,7 @@ class StackFile(ABC):
         self.path = Path(path)
         self._chosen = chosen(quantities)
         self.quantities = tuple(one.name for one in self._chosen)
-        if pixel_um is not None and not (np.isfinite(pixel_um) and pixel_um > 0):
-            raise ValueError(f"pixel_um must be positive, got {pixel_um!r}")
-        self.pixel_um = pixel_um
+        self.pixel_um = None if pixel_um is None else positive("pixel_um", pixel_um)
         self.units = {one.name: one.unit for one in self._chosen} | dict(
             (facts or {}).get("units", {}))
         self.facts = {**(facts or {}), "units": self.units}

@@ -201,11 +201,12 @@ def fade(
             f"{picture.strides}, writeable {picture.flags.writeable}")
     kept: NDArray[np.uint8] = (
         np.empty((0, 0), np.uint8) if valid is None
-        else np.ascontiguousarray(valid, np.bool_).view(np.uint8))
+        else np.ascontiguousarray(fitting(
+            "valid", np.asarray(valid, np.bool_), picture.shape[:2])).view(np.uint8))
     plane = fitting("weight", one_plane("weight", weight), picture.shape[:2])
     _kernels.fade_bgr(
-        np.ascontiguousarray(plane, np.float32), kept, 1 / positive("top", top), ground,
-        picture)
+        np.ascontiguousarray(plane, np.float32), kept, 1 / positive("top", top),
+        whole_number("ground", ground, 0, 255), picture)
 
 
 def hatch(height: int, width: int) -> Picture:
