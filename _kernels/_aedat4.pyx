@@ -29,11 +29,12 @@ def aedat4_events(const uint8_t[::1] data not None, Py_ssize_t at, Py_ssize_t n,
     cdef int16_t[2] place
     cdef const uint8_t* source
     cdef event_t* to
-    cdef uint64_t corner = <uint64_t>(width - 1 | height - 1 << 16)
+    cdef uint64_t corner
     if state.shape[0] != STATE:
         raise ValueError("aedat4_events: state must hold 7 numbers")
     if not (0 < height <= 1 << 15 and 0 < width <= 1 << 15):
         raise ValueError("aedat4_events: a sensor has 1 to 32768 rows and columns")
+    corner = <uint64_t>(width - 1 | height - 1 << 16)
     if n < 0 or at < 0 or at > data.shape[0] or n > (data.shape[0] - at) // STRIDE:
         raise ValueError("aedat4_events: events lie outside data")
     if state[FILLED] < 0 or state[FILLED] > out.shape[0] - n:

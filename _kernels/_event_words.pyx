@@ -17,7 +17,7 @@ cdef enum:
     ROW = 3
     COLUMN = 4      # where the next vector of EVT3 begins
     POLARITY = 5
-    UNTIMED = 6     # events skipped because no time came before them
+    UNTIMED = 6     # words skipped that no time came before, or of no kind
     TRIGGERS = 7    # external triggers found in this call
     WORD_STATE = 8
 
@@ -121,6 +121,8 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
                 t = stream[LOOPS] + (max(stream[HIGH], 0) << 6 | (word >> 22 & 0x3F))
                 if not trigger(t, word >> 7 & 0x3E | word & 1, triggers, &stream[0]):
                     break
+            elif kind < 14:     # no kind at all
+                stream[UNTIMED] += 1
             i += 1
     return i
 
@@ -233,6 +235,8 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
             elif kind == 10:
                 if not trigger(at[TIME], word >> 7 & 0x1E | word & 1, triggers, at):
                     break
+            elif kind < 14 and kind != 7:       # no kind at all
+                at[UNTIMED] += 1
             i += 1
     for k in range(STATE):
         state[k] = s[k]

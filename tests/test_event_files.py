@@ -299,6 +299,9 @@ def test_the_size_comes_from_the_header_or_the_events(tmp_path, header, size):
     (b"Event Stream\1\0\0\1", "1.0.0 with DVS events is not read: version 2"),
     (b"Event Stream\2\0\0\1\0\0\0\0", "sensor sides must lie in 1..8192, got 0x0"),
     (b"% evt 3.0\n% geometry 0x9\n% end\n", r"must lie in 1\.\.8192.* 0x9"),
+    (b"% evt 2.0\n% geometry -640x480\n", r"must lie in 1\.\.8192, got -640x480"),
+    (b"0 9\n1 2 3 1\n", r"must lie in 1\.\.8192, got 0x9"),
+    (b"9000 9\n1 2 3 1\n", r"must lie in 1\.\.8192, got 9000x9"),
     (b"% Data file containing CD events\n\x0e\x08", "DAT 2 with events of type 14"),
     (b"% Data file containing CD events\n", "of type 0 and 0 bytes is not read"),
     (b"% Version 3\n\x0c\x08", "DAT 3 with events of type 12"),
@@ -521,6 +524,36 @@ def test_one_time_of_an_array_does_not_decide_its_unit(tmp_path):
     (tmp_path / "x.npy").write_bytes(npy_file(events))
     with open_recording(tmp_path / "x.npy") as recording:
         np.testing.assert_array_equal(recording.events(), events[1:])
+
+
+def test_a_time_that_is_not_in_the_unit_of_the_others_is_said(tmp_path):
+    rows = np.array([(*range(1, 30), 30.5), 30 * [1], 30 * [2], 30 * [1]]).T
+    np.save(tmp_path / "x.npy", rows)
+    np.savetxt(tmp_path / "x.txt", rows, "%g")
+    for name in ("x.npy", "x.txt"):
+        with open_recording(tmp_path / name, sensor_size=(4, 4)) as recording:
+            assert recording.info.header["time_unit"] == "us"
+            said = {p.kind: p.message for p in recording.problems}
+        assert said == {"time unit": "1 of the times looked at have fractions, most "
+                        "have none: all are read as us"}
+
+
+@pytest.mark.parametrize(("version", "kinds", "known"), [
+    (2, (3, 9, 12), (14, 15)), (3, (1, 9, 13), (7, 14, 15))])
+def test_a_size_that_is_no_number_and_words_of_no_kind_are_said(
+        tmp_path, version, kinds, known):
+    events = some_events(200, (240, 320))
+    write, dtype = ((evt2_file, "<u4"), (evt3_file, "<u2"))[version - 2]
+    data = write(events, header=(
+        b"%% evt %d.0\n%% geometry 3z0x240\n%% end\n" % version))
+    shift = 8 * np.dtype(dtype).itemsize - 4
+    for kind in kinds:
+        words = np.array([one << shift for one in (kind, *known)], dtype)
+        (tmp_path / "x").write_bytes(data + words.tobytes())
+        with open_recording(tmp_path / "x") as recording:
+            np.testing.assert_array_equal(recording.events(), events)
+            said = {p.kind: p.count for p in recording.problems}
+        assert said == {"sensor size": 1, "unknown size": 1, "untimed": 1}
 
 
 def test_an_array_with_a_pixel_on_no_sensor_is_read(tmp_path):

@@ -56,6 +56,13 @@ class _EventList(SequentialRecording):
             **stated(options, self._copied, sensor_size=self._sensor_size(
                 of_file, self._farthest)))
 
+    def _unit_said(self, unit: str, odd: int) -> str:
+        """Return the unit of times; say that `odd` of those looked at are not in it."""
+        if odd:
+            self._log.add("time unit", None, f"{odd} of the times looked at have "
+                          f"fractions, most have none: all are read as {unit}")
+        return unit
+
     @abstractmethod
     def _farthest(self) -> tuple[int, int]:
         """Return the largest x and y of the first events."""
@@ -85,7 +92,7 @@ class TextRecording(_EventList):
                           " the first four are read as time, x, y, polarity")
         self._begin, self._bottom = form.begin, form.bottom
         self._order = np.array(["txyp".find(name) for name in order], np.int64)
-        unit = form.unit or unit_of_times(blocks, order)
+        unit = form.unit or self._unit_said(*unit_of_times(blocks, order))
         self._unit_of_time = UNITS.index(unit)
         return self._facts(f"text, times in {unit}", options, {
             "time_unit": unit, "first_row": "bottom" if form.bottom else "top"},
@@ -202,7 +209,7 @@ class NumpyRecording(_EventList):
                 f"{self._path}: not arrays that can be read: {error}") from None
         self._arrays_of = _events_of(found, str(self._path))
         self._end = len(self._arrays_of[0])
-        self._scale = unit_of(self._arrays_of[0].rows(0, ROWS))
+        self._scale = self._unit_said(*unit_of(self._arrays_of[0].rows(0, ROWS)))
         return self._facts(
             f"{self._kind}, times in {self._scale}", options,
             {"time_unit": self._scale}, self._size)

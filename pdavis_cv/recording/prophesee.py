@@ -16,6 +16,7 @@ from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import TRIGGER_DTYPE, RecordingInfo
 from pdavis_cv.recording.facts import stated
+from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import SequentialRecording
@@ -85,7 +86,7 @@ class WordStream:
 
     @property
     def untimed(self) -> int:
-        """Number of event words that were skipped because their time is unknown."""
+        """Number of words that were skipped: events of unknown time, no known kind."""
         return int(self._stream[UNTIMED])
 
     def room(self, words: NDArray[np.unsignedinteger]) -> int:
@@ -167,7 +168,7 @@ class PropheseeRecording(SequentialRecording):
         self._high_first = self._version == EVT21 and {
             "little": False, "legacy": True}.get(_endianness(facts), _upper_first(
                 self._words(self._begin, Scratch()).reshape(-1, 2)))
-        size = self._sensor_size(_stated_size(facts), self._farthest)
+        size = self._sensor_size(_stated_size(facts, self._log), self._farthest)
         return RecordingInfo(
             format=_NAMES[self._version],
             writer=facts.get("generator", "Prophesee"), camera=name, serial=serial,
@@ -293,7 +294,7 @@ class PropheseeRecording(SequentialRecording):
         return triggers
 
 
-def _stated_size(facts: dict[str, str]) -> tuple[int, int] | None:
+def _stated_size(facts: dict[str, str], log: ProblemLog) -> tuple[int, int] | None:
     """Return (height, width) as the header states it, or by its chip."""
     options = dict(part.split("=", 1) for part in facts.get(
         "format", "").split(";")[1:] if "=" in part)
@@ -302,8 +303,11 @@ def _stated_size(facts: dict[str, str]) -> tuple[int, int] | None:
                        (height, width), (facts.get("Height"), facts.get("Width")),
                        (facts.get("height"), facts.get("width"))):
         sides = [(side or "").strip() for side in (high, wide)]
-        if all(side.isdecimal() and len(side) < 10 for side in sides):
+        if all(re.fullmatch(r"[-+]?\d{1,9}", side) for side in sides):
             return int(sides[0]), int(sides[1])
+        if all(sides):
+            log.add("sensor size", None, "the header's height {!r} and width {!r} are "
+                    "no numbers".format(*sides))
     names = " ".join(facts.get(key, "") for key in (
         "plugin_name", "sensor_generation", "sensor_name")).lower()
     return next((size for part, size in _CHIPS if part in names), None)

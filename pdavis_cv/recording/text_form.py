@@ -106,7 +106,7 @@ def text_form(start: bytes) -> TextForm | None:
         if text.startswith(("#", "%")):
             _comment(form, text)
         elif form.size is None and not named and (found := _SIZE.fullmatch(text)):
-            form.size = _side(found[2]), _side(found[1])
+            form.size = int(found[2]), int(found[1])
         elif values and not named and re.match(r"[,;]?[\"'(]?[A-Za-z_]", text):
             named = True
             # A table's first column may be a number without a name, as by pandas.
@@ -115,10 +115,6 @@ def text_form(start: bytes) -> TextForm | None:
             return None
         form.begin += len(line) + 1
     return None
-
-
-def _side(text: str) -> int:
-    return min(max(int(text), 1), MAX_SIDE)
 
 
 def _comment(form: TextForm, text: str) -> None:
@@ -157,7 +153,7 @@ def _header(form: TextForm, names: Sequence[str]) -> None:
                           if part in _UNIT_NAMES), "")
         sides = [_SIZE_IN_NAME.search(names[columns.index(axis)]) for axis in "yx"]
         if sides[0] and sides[1]:
-            form.size = _side(sides[0][1]), _side(sides[1][1])
+            form.size = int(sides[0][1]), int(sides[1][1])
 
 
 def rows_of(blocks: Sequence[bytes], order: str) -> Iterator[list[tuple[str, ...]]]:
@@ -218,27 +214,28 @@ def _pixel(text: str) -> bool:
     return 0 <= value < MAX_SIDE and value % 1 == 0
 
 
-def unit_of(times: NDArray[Any]) -> str:
-    """Return the unit of times: several decide, as one may be damaged.
+def unit_of(times: NDArray[Any]) -> tuple[str, int]:
+    """Return the unit of times, and how many have fractions unlike most.
 
     Those with fractions are seconds, whole ones microseconds, or nanoseconds beyond
     10**17.
     """
     times = times[np.isfinite(times)]
-    if np.count_nonzero(times % 1) > min(len(times) / 10, 8):
-        return "s"
-    return "ns" if len(times) and np.median(times) > NANOSECONDS_FROM else "us"
+    odd = int(np.count_nonzero(times % 1))
+    if odd > min(len(times) / 10, 8):
+        return "s", 0
+    return "ns" if len(times) and np.median(times) > NANOSECONDS_FROM else "us", odd
 
 
-def unit_of_times(blocks: Sequence[bytes], order: str) -> str:
-    """Return the unit of times, from all of those in parts of a text.
+def unit_of_times(blocks: Sequence[bytes], order: str) -> tuple[str, int]:
+    """Return what `unit_of` does, from all times in parts of a text.
 
     They are not seconds if there were less than one event in `SLOWEST_S`.
     """
     times = [[_value(row[0]) for row in rows] for rows in rows_of(blocks, order)]
-    unit = unit_of(np.array([*itertools.chain(*times)]))
+    unit, odd = unit_of(np.array([*itertools.chain(*times)]))
     if unit != "s":
-        return unit
+        return unit, odd
     slow = [max(block) - min(block) > SLOWEST_S * len(block) for block in times
             if len(block) >= ENOUGH]
-    return "us" if slow and all(slow) else "s"
+    return "us" if slow and all(slow) else "s", 0
