@@ -34,8 +34,7 @@ def output(
     dtype = np.dtype(dtype)
     if out is None:
         return np.empty(shape, dtype)
-    if not isinstance(out, np.ndarray):
-        raise TypeError(f"{name} must be an ndarray, got {type(out).__name__}")
+    typed(name, out, np.ndarray, "an ndarray")
     if out.dtype != dtype:
         raise TypeError(f"{name} must be {dtype}, got {out.dtype}")
     if out.shape != shape:
@@ -53,6 +52,12 @@ def output(
                 and np.shares_memory(out, array)):
             raise ValueError(f"{name} must not overlap an input, got memory of one")
     return out
+
+
+def typed(name: str, value: object, kind: Any, what: str) -> None:
+    """Raise TypeError unless a value is of a kind; `what` says which."""
+    if not isinstance(value, kind):
+        raise TypeError(f"{name} must be {what}, got {type(value).__name__}")
 
 
 def positive(name: str, value: float) -> float:

@@ -115,10 +115,7 @@ class Workers:
 
 @contextlib.contextmanager
 def deaf() -> Iterator[None]:
-    """Let processes that are started in the block never get Ctrl-C, from the first on.
-
-    It is for their parent: theirs would end them while they still load modules.
-    """
+    """Let processes that the block starts never get Ctrl-C, even while they load."""
     if not hasattr(signal, "pthread_sigmask"):      # Windows
         yield
         return

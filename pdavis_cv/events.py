@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import output, positive, sensor_shape, whole_number
+from pdavis_cv._checks import output, positive, sensor_shape, typed, whole_number
 from pdavis_cv._types import Events
 
 EVENT_DTYPE = np.dtype([("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1")])
@@ -59,10 +59,7 @@ def as_events(events: Any) -> Events:
         columns = {str(name): np.asarray(column) for name, column in events.items()}
         found = _find_fields(tuple(columns))
         return _copy({name: columns[field] for name, field in found.items()}, found)
-    if not isinstance(events, np.ndarray):
-        raise TypeError(
-            "events must be a structured array or a mapping of columns, got "
-            f"{type(events).__name__}")
+    typed("events", events, np.ndarray, "a structured array or a mapping of columns")
     dtype = events.dtype
     if dtype.fields is None or dtype.names is None:
         raise TypeError(

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv._checks import output
+from pdavis_cv._checks import output, typed
 from pdavis_cv._types import Image
 from pdavis_cv.colour_mosaic import COLOUR_METHODS, colour_mosaics
 from pdavis_cv.sensor import Layout
@@ -276,8 +276,7 @@ def filled_samples(
 
 def checked_mosaic(mosaic: Image) -> Image:
     """Return mosaic, C-contiguous and aligned, after checking its dtype and sides."""
-    if not isinstance(mosaic, np.ndarray):
-        raise TypeError(f"mosaic must be an ndarray, got {type(mosaic).__name__}")
+    typed("mosaic", mosaic, np.ndarray, "an ndarray")
     if mosaic.dtype not in PIXEL_DTYPES:
         raise TypeError(
             f"mosaic must be uint8, uint16 or float32, got {mosaic.dtype}")

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
+from pdavis_cv._checks import typed
 from pdavis_cv.errors import LayoutError, LayoutWarning
 
 CHANNELS = (0, 45, 90, 135)
@@ -122,9 +123,7 @@ class Layout:
         """
         if isinstance(value, Layout):
             return value
-        if not isinstance(value, str):
-            raise TypeError(
-                f"layout must be a Layout or its name, got {type(value).__name__}")
+        typed("layout", value, str, "a Layout or its name")
         text, hyphen, colours = value.strip().lower().partition("-")
         if hyphen:
             return replace(cls.of(text), colours=colours)
@@ -304,9 +303,7 @@ class Sensor:
         """
         if isinstance(value, Sensor):
             return value
-        if not isinstance(value, str):
-            raise TypeError(
-                f"sensor must be a Sensor or its name, got {type(value).__name__}")
+        typed("sensor", value, str, "a Sensor or its name")
         text = value.strip().lower()
         for key, one in SENSORS.items():
             if text in (key, one.name.lower()):

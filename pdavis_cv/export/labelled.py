@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pdavis_cv._checks import typed
 from pdavis_cv.export.embedded import to_json
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import chosen
@@ -63,9 +64,8 @@ def to_xarray(
     given = [images] if isinstance(images, PolarFrame) else images
     kept = list(given) if isinstance(given, Iterable) else [given]
     for one in kept:
-        if not isinstance(one, PolarFrame):
-            raise TypeError("images must be PolarFrames, as fuse(recording, fps=100) "
-                            f"makes them, got {type(one).__name__}")
+        typed("images", one, PolarFrame,
+              "PolarFrames, as fuse(recording, fps=100) makes them")
     if not kept:
         raise ValueError("images must hold at least one, got none")
     shapes = sorted({image.shape for image in kept})

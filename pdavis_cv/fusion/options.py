@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv._checks import checked_rate, plain, real_number
+from pdavis_cv._checks import checked_rate, plain, real_number, typed
 from pdavis_cv._options import Options, documented, option
 from pdavis_cv._types import Parameters
 from pdavis_cv.calibration.model import Calibration
@@ -173,13 +173,9 @@ class FusionOptions(Options):
             put(name, plain(getattr(self, name)))
         if self.layout is not None:
             put("layout", Layout.of(self.layout))
-        if not isinstance(self.analyser, TurningAnalyser | None):
-            raise TypeError("analyser must be a TurningAnalyser, got "
-                            f"{type(self.analyser).__name__}")
-        if not isinstance(self.calibration, Calibration | None):
-            raise TypeError(
-                "calibration must be a Calibration, as Calibration.load(path) gives, "
-                f"got {type(self.calibration).__name__}")
+        typed("analyser", self.analyser, TurningAnalyser | None, "a TurningAnalyser")
+        typed("calibration", self.calibration, Calibration | None,
+              "a Calibration, as Calibration.load(path) gives")
         _check_extinction_ratio(self.extinction_ratio)
         if self.demosaic not in DEMOSAIC_METHODS:
             raise ValueError(
@@ -240,9 +236,7 @@ def fusion_part(parameters: Parameters) -> dict[str, Any]:
 def _checked_times(options: FusionOptions) -> NDArray[np.int64] | None:
     for name in ("start_us", "stop_us"):
         value = getattr(options, name)
-        if value is not None and not isinstance(value, (int, np.integer)):
-            raise TypeError(
-                f"{name} must be integer microseconds, got {type(value).__name__}")
+        typed(name, value, int | np.integer | None, "integer microseconds")
         if value is not None:
             checked_time(name, int(value))
     if options.times_us is None:
@@ -321,10 +315,8 @@ def _checked_offset(value: Any) -> float | str | None:
 def _checked_denoise(value: Any) -> bool | dict[str, Any]:
     if isinstance(value, Mapping):
         return dict(value)
-    if not isinstance(value, (bool, np.bool_)):
-        raise TypeError(
-            "denoise must be a bool or a mapping of parameters of EventDenoiser, got "
-            f"{type(value).__name__}")
+    typed("denoise", value, bool | np.bool_,
+          "a bool or a mapping of parameters of EventDenoiser")
     return bool(value)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._checks import typed
 from pdavis_cv._types import Events
 from pdavis_cv.events import bad_event, checked_time, timed_events
 from pdavis_cv.recording.base import ApsFrame
@@ -50,8 +51,7 @@ class StreamClock:
         It must not lie before `after_us`, the last frame's if frames may be late, by
         default the time of the last event or frame.
         """
-        if not isinstance(frame, ApsFrame):
-            raise TypeError(f"frame must be an ApsFrame, got {type(frame).__name__}")
+        typed("frame", frame, ApsFrame, "an ApsFrame")
         if frame.shape != self.shape:
             raise ValueError(
                 f"frame must be {self.shape[1]}x{self.shape[0]}, got "

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._advice import Advises
-from pdavis_cv._checks import whole_number
+from pdavis_cv._checks import typed, whole_number
 from pdavis_cv.events import EVENT_DTYPE, FAR, checked_time
 from pdavis_cv.recording.facts import FILE, Fact
 from pdavis_cv.recording.members import Member, members_of
@@ -91,9 +91,7 @@ class ApsFrame(Advises):
         if stored.ndim != 2:
             raise ValueError(f"dn must be (H, W), got shape {stored.shape}")
         for name, array in (("valid", valid), ("reset", reset), ("signal", signal)):
-            if array is not None and not isinstance(array, np.ndarray):
-                raise TypeError(
-                    f"{name} must be an ndarray, got {type(array).__name__}")
+            typed(name, array, np.ndarray | None, "an ndarray")
             if array is not None and array.shape != stored.shape:
                 raise ValueError(
                     f"{name} must have dn's shape {stored.shape}, got {array.shape}")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv._checks import sensor_shape
+from pdavis_cv._checks import sensor_shape, typed
 from pdavis_cv.events import EVENT_DTYPE, check_inside, check_order, timed_events
 from pdavis_cv.recording.base import (
     IMU_DTYPE,
@@ -93,19 +93,14 @@ def recording_from_arrays(
         If time runs backward, or an event or a frame lies outside the sensor.
     """
     events = np.empty(0, EVENT_DTYPE) if events is None else timed_events(events)
-    try:
-        frames = tuple(frames)
-    except TypeError:
-        raise TypeError(
-            f"frames must be ApsFrames, got {type(frames).__name__}") from None
+    typed("frames", frames, Iterable, "ApsFrames")
+    frames = tuple(frames)
     layout = None if layout is None else Layout.of(layout)
     height, width = sensor_shape(sensor_size, "sensor_size")
     check_order(events)
     check_inside(events, (height, width))
     for i, frame in enumerate(frames):
-        if not isinstance(frame, ApsFrame):
-            raise TypeError(
-                f"frames must be ApsFrames, but frame {i} is {type(frame).__name__}")
+        typed(f"frames must be ApsFrames: frame {i}", frame, ApsFrame, "one")
         check_size(frame, (height, width), f"frame {i}")
         if i and (frame.available_us <= frames[i - 1].available_us
                   or frame.mid_us <= frames[i - 1].mid_us):

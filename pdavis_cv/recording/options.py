@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypedDict
 
-from pdavis_cv._checks import checked_rate, sensor_shape, whole_number
+from pdavis_cv._checks import checked_rate, sensor_shape, typed, whole_number
 from pdavis_cv._options import Options, documented, option
 from pdavis_cv._types import Parameters
 from pdavis_cv.recording.limits import Limits
@@ -141,9 +141,7 @@ class SourceOptions(Options):
         if self.sensor_size is not None:
             self._put("sensor_size", sensor_shape(self.sensor_size, "sensor_size"))
         for name in ("camera", "columns"):
-            value = getattr(self, name)
-            if not isinstance(value, str | None):
-                raise TypeError(f"{name} must be a str, got {type(value).__name__}")
+            typed(name, getattr(self, name), str | None, "a str")
         self._put("source_fps", checked_rate("source_fps", self.source_fps))
         for name, most in (("exposure_us", _MOST_US), ("bits", 32),
                            ("full_scale_dn", MOST_DN)):
@@ -155,14 +153,10 @@ class SourceOptions(Options):
         self._put("align_planes", bool(self.align_planes))
         self._put("trigger_channel", whole_number(
             "trigger_channel", self.trigger_channel, 0, 31))
-        if not isinstance(self.analyser_steps, AnalyserSteps | str | None):
-            raise TypeError("analyser_steps must be AnalyserSteps or a str, got "
-                            f"{type(self.analyser_steps).__name__}")
-        if not isinstance(self.limits, Limits | None):
-            raise TypeError(f"limits must be Limits, got {type(self.limits).__name__}")
-        if not isinstance(self.isolated, bool):
-            raise TypeError(
-                f"isolated must be a bool, got {type(self.isolated).__name__}")
+        typed("analyser_steps", self.analyser_steps, AnalyserSteps | str | None,
+              "AnalyserSteps or a str")
+        typed("limits", self.limits, Limits | None, "Limits")
+        typed("isolated", self.isolated, bool, "a bool")
         if self.bad_events not in _BAD_EVENTS:
             raise ValueError(f"bad_events must be one of {', '.join(_BAD_EVENTS)}, got "
                              f"{self.bad_events!r}")

@@ -5,6 +5,7 @@ import threading
 from collections.abc import Iterable, Iterator, Sequence
 
 from pdavis_cv import _kernels
+from pdavis_cv._checks import typed
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE, check_inside, check_order
 from pdavis_cv.recording.base import Packet, Problem, RecordingInfo, Source, check_size
@@ -115,9 +116,6 @@ def source_from_packets(info: RecordingInfo, packets: Iterable[Packet]) -> Sourc
     ...     len(list(source.packets()))
     0
     """
-    if not isinstance(info, RecordingInfo):
-        raise TypeError(f"info must be a RecordingInfo, got {type(info).__name__}")
-    if not isinstance(packets, Iterable):
-        raise TypeError(
-            f"packets must be an iterable of Packet, got {type(packets).__name__}")
+    typed("info", info, RecordingInfo, "a RecordingInfo")
+    typed("packets", packets, Iterable, "an iterable of Packet")
     return StreamSource(info, packets)

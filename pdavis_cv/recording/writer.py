@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import Unfinished
+from pdavis_cv._checks import typed
 from pdavis_cv.events import check_inside
 from pdavis_cv.recording.base import Packet, RecordingInfo, Source, check_size
 from pdavis_cv.recording.facts import text_of
@@ -147,9 +148,7 @@ class RecordingWriter(ABC):
 
 def info_of(recording: Source) -> RecordingInfo:
     """Return the facts of what is to be written; raise TypeError if it is no Source."""
-    if not isinstance(recording, Source):
-        raise TypeError("recording must be one that open_recording returns, got "
-                        f"{type(recording).__name__}")
+    typed("recording", recording, Source, "one that open_recording returns")
     return recording.info
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv._checks import whole_number
+from pdavis_cv._checks import typed, whole_number
 from pdavis_cv._opencv import opencv
 from pdavis_cv._types import Image
 from pdavis_cv.polarimetry import PolarFrame
@@ -32,8 +32,7 @@ def summary(image: PolarFrame) -> Picture:
     ndarray of uint8, shape (H', W', 3)
         BGR of even size.
     """
-    if not isinstance(image, PolarFrame):
-        raise TypeError(f"image must be a PolarFrame, got {type(image).__name__}")
+    typed("image", image, PolarFrame, "a PolarFrame")
     grey = (ToneCurve.of([image.s0], [image.valid]) if image.valid.any()
             else ToneCurve(1.0))
     colour = aop_bgr(image.aop, image.valid)
