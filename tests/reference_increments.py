@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 
-from pdavis_cv.pixel.model import LAGS_S
-
 SAMPLES, SHORT_US, GATE, LEARN_EVENTS = 7, 1500, 16.0, 3
 RESTS, TURN, EARLIEST_TURN = 2.5, 0.268, 3 - 2 * math.sqrt(2)
 SMOOTH_FROM_S, KNOT = 0.045, 1.1
@@ -121,7 +119,7 @@ class Pixel:
         now = counts(t)
         out = np.array([-(m.cell_now + m.near_now) @ now, m.cell_now @ now,
                         m.near_now @ now])
-        for i, lag in enumerate(LAGS_S):
+        for i, lag in enumerate(m.lags_s):
             if lag and 1e6 * lag <= ahead:
                 d = counts(t + int(1e6 * lag)) - now
                 out += [m.own[i] @ d, m.cell[i] @ d, m.near[i] @ d]
@@ -295,8 +293,8 @@ class Filter:
         since, up to t, as it ended."""
         nodes, planes = np.empty(self.shape, object), np.zeros((3, *self.shape))
         ahead = min(known - self.latest(frame), self.ahead)
-        newest = max([0, *(int(1e6 * lag) for i, lag in enumerate(LAGS_S) if lag and
-                           1e6 * lag <= ahead and (
+        newest = max([0, *(int(1e6 * lag) for i, lag in enumerate(self.m.lags_s) if (
+            lag and 1e6 * lag <= ahead) and (
             np.any([self.m.own[i], self.m.cell[i], self.m.near[i]])))])
         middles = np.broadcast_to(frame.column_mid_us, self.shape[1]).tolist()
         for at, p in np.ndenumerate(self.pixels):

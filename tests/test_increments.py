@@ -8,7 +8,7 @@ from streams import feed, random_events, random_frame
 
 from pdavis_cv import EVENT_DTYPE, ApsFrame, Estimate, KalmanFilter, _kernels
 from pdavis_cv._workers import Workers
-from pdavis_cv.pixel.model import PixelModel
+from pdavis_cv.pixel.model import PixelModel, lags_of
 from pdavis_cv.reconstruct.lamp import BLOCK_US, Wave
 
 SHAPE = (4, 6)
@@ -20,6 +20,7 @@ TABLE = PLAIN.replace(
     open_variance=RNG.uniform(0.02, 0.1, (4, 5)), rest_s=0.1,
     by_class=RNG.normal(0, 0.02, (2, 5)), theta_cov=np.diag([1e-3, 5e-4]))
 WHOLE = TABLE.replace(
+    lags_s=lags_of(50_000),
     own=RNG.normal(0, 0.03, (5, 2)), cell=RNG.normal(0, 0.03, (5, 2)),
     near=RNG.normal(0, 0.03, (5, 2)),
     cell_now=RNG.normal(0, 0.03, 2), near_now=RNG.normal(0, 0.03, 2), dead_s=1e-3,

@@ -4,7 +4,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv.pixel.model import GAP_CLASSES, LAGS_S, SHORT_US, PixelModel
+from pdavis_cv.pixel.model import GAP_CLASSES, SHORT_US, PixelModel
 from pdavis_cv.pixel.rows import (
     Floats,
     Pairs,
@@ -107,7 +107,7 @@ def _unseen(
     It is as if rows had shown that this is 0.
     """
     if 1e3 * float(pairs.ms.max()) <= SHORT_US:
-        return np.zeros((2 + 2 * GAP_CLASSES + 6 * len(LAGS_S) + 4,) * 2)
+        return np.zeros((2 + 2 * GAP_CLASSES + 6 * len(model.lags_s) + 4,) * 2)
 
     def there(at: float) -> Floats:
         return np.concatenate([
@@ -125,8 +125,8 @@ def _unseen(
 
 def _with(model: PixelModel, weights: Floats) -> PixelModel:
     theta, classes, rest = np.split(weights, [2, 2 + 2 * GAP_CLASSES])
-    lags = rest[:6 * len(LAGS_S)].reshape(len(LAGS_S), 3, 2)
-    last = rest[6 * len(LAGS_S):]
+    lags = rest[:-4].reshape(-1, 3, 2)
+    last = rest[-4:]
     return model.replace(
         thresholds=model.theta, theta=np.maximum(theta, 0.1 * model.theta),
         by_class=model.by_class + classes.reshape(2, GAP_CLASSES),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv.pixel import features
 from pdavis_cv.pixel.frame_noise import learned_frame_noise
-from pdavis_cv.pixel.model import SHORT_US, PixelModel
+from pdavis_cv.pixel.model import SHORT_US, PixelModel, lags_of
 from pdavis_cv.pixel.rows import (
     Floats,
     Pairs,
@@ -191,7 +191,7 @@ def prior_model(priors: Priors, lookahead_us: int) -> PixelModel:
     return PixelModel(
         theta=theta, theta_cov=np.diag((priors.theta_sigma * theta) ** 2),
         spread=SPREAD, bandwidth=priors.bandwidth, rest_s=RESTS_S[0],
-        end=table[0], bow=table[1],
+        end=table[0], bow=table[1], lags_s=lags_of(lookahead_us),
         black=0.0 if priors.black is None else priors.black[0])
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv.pixel.model import LAGS_S, SAMPLES, SHORT_US, PixelModel
+from pdavis_cv.pixel.model import SAMPLES, SHORT_US, PixelModel
 from pdavis_cv.pixel.sample import Sampled
 
 Floats = NDArray[np.float64]
@@ -233,7 +233,7 @@ def around_rows(
     at is the part of the exposures that has passed; of_first: less those of the first
     frame.
     """
-    lags = np.array(LAGS_S)
+    lags = model.lags_s
     outs = []
     for k in (1, 0) if of_first else (1,):
         begin, end = pairs.exposure[k] + np.int64(round(shift_us))

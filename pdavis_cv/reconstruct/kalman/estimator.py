@@ -20,7 +20,7 @@ from pdavis_cv._checks import (
 )
 from pdavis_cv._types import Events, Parameters, Records, State
 from pdavis_cv.events import FAR, checked_time, timed_events
-from pdavis_cv.pixel.model import LAGS_S, PixelModel
+from pdavis_cv.pixel.model import AROUND_S, PAST_S, PixelModel
 from pdavis_cv.reconstruct.base import WHOLE_SENSOR, Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.kalman.frames import (
     ANCHOR_DTYPE,
@@ -42,8 +42,8 @@ from pdavis_cv.recording.base import ApsFrame
 LOOKAHEADS = {"buffered": 50_000, "causal": 0, "offline": 500_000}
 """How long after its time an image is made, us: events and frames up to then count."""
 
-_REACH_US = 5_000 - round(1e6 * min(LAGS_S))    # how far back events count, us
-_AHEAD_US = round(1e6 * max(LAGS_S))
+_REACH_US = 5_000 - round(1e6 * min(PAST_S))    # how far back events count, us
+_AHEAD_US = round(1e6 * max(AROUND_S))
 _LATE_US = 500_000      # how late a frame may come, us
 _GAINS_PER_US = 1e-4    # relative error of gains by that of stamps: a tenth per ms
 _PLANES, _PIXEL_NS = 6, 100.0   # of an image in the making; ns by listed pixel
