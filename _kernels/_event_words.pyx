@@ -80,8 +80,7 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
 
     stream and state are kept from call to call.  External triggers are written to the
     first stream[7] rows of triggers: time, and twice the channel, plus 1 for a rising
-    edge; decoding also ends
-    where these are full.
+    edge; decoding also ends where these are full.
     """
     cdef Py_ssize_t i = begin, n = words.shape[0], room = out.shape[0], after
     cdef uint32_t word, kind

@@ -52,6 +52,7 @@ cdef extern from *:
     const int RATIO
     const float FEW, QUARTER, DARKEST, GUESS, MOST_ROWS, OUTLIER
 
+
 cdef inline float seen(float q1, float q2, float c, float s) noexcept nogil:
     """Return the intensity in units of S0/2, at least DARKEST."""
     cdef float light = 1 + q1 * c + q2 * s

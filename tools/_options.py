@@ -63,8 +63,8 @@ def _is_hdf5(path: str | os.PathLike[str]) -> bool:
 def source_given(args: argparse.Namespace) -> dict[str, Any]:
     """Return what the options of a command state about its source."""
     values = {name: getattr(args, name, None) for name, _ in offered(source_options())}
-    values["trigger_channel"] = getattr(args, "trigger", None) or values[
-        "trigger_channel"]
+    if getattr(args, "trigger", None) is not None:
+        values["trigger_channel"] = args.trigger
     return {name: value for name, value in values.items()
             if value is not None and value is not False}
 

@@ -22,7 +22,7 @@ Plane = NDArray[np.float32]
 _CELL = np.dtype([("t", "f8"), *((name, "f4") for name in (
     "s1 s2 on off sign rest a11 a12 a22 b1 b2 yy n scale c s l11 l12 l22 m1 m2 zz "
     "n1 g1 h1 y1 n0 g0 h0 y0").split())])
-"""As ``cell_t`` of the kernel."""
+"""As ``turning_cell_t`` of the kernel."""
 
 _FIRST_SPREAD, _OWN_SPREAD = 0.3, 0.06
 """Errors of ln threshold of a pixel before and after the mean of all pixels is known:
