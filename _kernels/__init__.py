@@ -1,69 +1,54 @@
-"""Compiled kernels (private); typed in pdavis_cv/_kernels.pyi."""
-# ruff: noqa: F401  listed in the last line
-from ._aedat2 import aedat2_rows, aedat2_samples
-from ._aedat4 import aedat4_events, aedat4_table_fields
-from ._aop_events import aop_event_stokes
-from ._build import DEBUG
-from ._bus import read_out, sort_events
-from ._clock import settle
-from ._colours import colour_means, smooth
-from ._davis_usb import davis_words
-from ._degree import degree_frame, lasting_degree
-from ._demosaic import bilinear, bilinear_variance, bilinear_weighted, binned, reached
-from ._denoise import denoise_events, denoise_rates
-from ._elementwise import exp, least_squares, mismatch, reconcile
-from ._event_text import text_events
-from ._event_words import (
-    event_columns,
-    evt2_words,
-    evt3_words,
-    ros_events,
-    stream_events,
-)
-from ._events import count, surface, voxel
-from ._guided import guided
-from ._increments import (
-    increments_commit,
-    increments_drop,
-    increments_push,
-    increments_rest,
-    increments_weigh,
-)
-from ._increments_frames import (
-    increments_back,
-    increments_close,
-    increments_differ,
-    increments_node,
-    increments_pass,
-)
-from ._increments_read import increments_image, increments_move, increments_rest_planes
-from ._lamp import lamp_push, lamp_wave
-from ._leaky import (
-    cf_frame,
-    cf_frame_authors,
-    cf_frame_printed,
-    check_events,
-    check_times,
-    leak_events,
-    leak_read,
-    leak_shown,
-    mean_around,
-)
-from ._learning import learning_around, learning_means, learning_past, learning_silences
-from ._network import voxel_planes
-from ._picture import fade_bgr, hue_bgr, ramp_bgr, tone_bgr
-from ._polarization import aop, aop_dolp, dolp, mix, stokes
-from ._redundancy import (
-    redundancy_read,
-    redundancy_sample,
-    redundancy_shown,
-    redundancy_solve,
-    saturated_events,
-    saturated_fill,
-)
-from ._samples import log_frame
-from ._scenes import analysed, fan_stokes, plane_waves, texture_stokes
-from ._simulate import pixel_events
-from ._turning import turning_events, turning_images
+"""Compiled kernels (private); typed in pdavis_cv/_kernels.pyi.
 
-__all__ = [name for name in dir() if name[0] != "_"]
+Each module is imported when one of its kernels is first used: all take 7 ms.
+"""
+import importlib
+
+_MODULES = {
+    "_aedat2": "aedat2_rows aedat2_samples",
+    "_aedat4": "aedat4_events aedat4_table_fields",
+    "_aop_events": "aop_event_stokes",
+    "_build": "DEBUG",
+    "_bus": "read_out sort_events",
+    "_clock": "settle",
+    "_colours": "colour_means smooth",
+    "_davis_usb": "davis_words",
+    "_degree": "degree_frame lasting_degree",
+    "_demosaic": "bilinear bilinear_variance bilinear_weighted binned reached",
+    "_denoise": "denoise_events denoise_rates",
+    "_elementwise": "exp least_squares mismatch reconcile",
+    "_event_text": "text_events",
+    "_event_words": "event_columns evt2_words evt3_words ros_events stream_events",
+    "_events": "count surface voxel",
+    "_guided": "guided",
+    "_increments": "increments_commit increments_drop increments_push increments_rest "
+                   "increments_weigh",
+    "_increments_frames": "increments_back increments_close increments_differ "
+                          "increments_node increments_pass",
+    "_increments_read": "increments_image increments_move increments_rest_planes",
+    "_lamp": "lamp_push lamp_wave",
+    "_leaky": "cf_frame cf_frame_authors cf_frame_printed check_events check_times "
+              "leak_events leak_read leak_shown mean_around",
+    "_learning": "learning_around learning_means learning_past learning_silences",
+    "_network": "voxel_planes",
+    "_picture": "fade_bgr hue_bgr ramp_bgr tone_bgr",
+    "_polarization": "aop aop_dolp dolp mix stokes",
+    "_redundancy": "redundancy_read redundancy_sample redundancy_shown "
+                   "redundancy_solve saturated_events saturated_fill",
+    "_samples": "log_frame",
+    "_scenes": "analysed fan_stokes plane_waves texture_stokes",
+    "_simulate": "pixel_events",
+    "_turning": "turning_events turning_images",
+}
+"""The kernels of each module."""
+_HOMES = {name: module for module, names in _MODULES.items() for name in names.split()}
+
+__all__ = sorted(_HOMES)
+
+
+def __getattr__(name):
+    if name not in _HOMES:
+        raise AttributeError(f"pdavis_cv._kernels has no {name!r}")
+    module = importlib.import_module(f"{__name__}.{_HOMES[name]}")
+    globals()[name] = kernel = getattr(module, name)
+    return kernel

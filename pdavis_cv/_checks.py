@@ -4,7 +4,6 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Sequence
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -128,6 +127,7 @@ def checked_rate(name: str, value: Any) -> float | None:
     """Return a rate in Hz, or None; raise ValueError unless it is of 0 .. MOST_FPS."""
     if value is None:
         return None
+    from fractions import Fraction  # slow to import
     try:
         exact = Fraction(value)
     except (TypeError, ValueError, OverflowError):

@@ -1,7 +1,6 @@
 """Text of others, such as a file's, as it may reach a terminal or a table."""
 from __future__ import annotations
 
-import json
 import re
 from typing import Any
 
@@ -61,6 +60,7 @@ def drawn(text: str) -> str:
 
 def for_script(value: Any) -> str:
     """Return a value as JSON inside a page's script, which no text in it can end."""
+    import json  # slow to import
     return json.dumps(value).replace("<", "\\u003c")
 
 

@@ -5,7 +5,6 @@ thing by an entry point of its name in the group ``pdavis_cv.formats``, ``.metho
 """
 from __future__ import annotations
 
-import difflib
 import functools
 import importlib
 import operator
@@ -148,6 +147,8 @@ def nearest(name: object, known: Iterable[str]) -> str | None:
     names = {one.lower(): one for one in known}
     wanted = str(name).lower()
     meant = _MEANT.get(wanted, f"{wanted}_us")
-    near = ([meant] if meant in names else
-            difflib.get_close_matches(wanted, names, 1, 0.7))
+    if meant in names:
+        return names[meant]
+    from difflib import get_close_matches  # slow to import
+    near = get_close_matches(wanted, names, 1, 0.7)
     return names[near[0]] if near else None

@@ -96,8 +96,7 @@ def test_an_option_is_one_of_every_command(name):
 
 def test_a_new_field_reaches_signature_help_and_commands(monkeypatch):
     facts = dict(FusionOptions.facts())
-    facts["frobnicate"] = dataclasses.replace(
-        facts["fps"], help="How often.", brief="how often")
+    facts["frobnicate"] = facts["fps"]._replace(help="How often.", brief="how often")
     monkeypatch.setattr(FusionOptions, "facts", classmethod(lambda cls: facts))
     parser = argparse.ArgumentParser()
     _options.add_fuse_options(parser)

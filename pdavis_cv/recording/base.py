@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,9 +17,11 @@ from pdavis_cv._advice import Advises
 from pdavis_cv._checks import typed, whole_number
 from pdavis_cv.events import EVENT_DTYPE, FAR, checked_time
 from pdavis_cv.recording.facts import FILE, Fact
-from pdavis_cv.recording.members import Member, members_of
 from pdavis_cv.recording.options import MOST_DN
 from pdavis_cv.sensor import Layout, Sensor
+
+if TYPE_CHECKING:
+    from pdavis_cv.recording.members import Member
 
 MAX_PACKET_EVENTS, MAX_PACKET_US = 65_536, 10_000
 
@@ -415,8 +417,7 @@ class Problem:
     stop_us: int | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class Report:
+class Report(NamedTuple):
     """Result of reading a recording from beginning to end.
 
     Parameters
@@ -482,6 +483,7 @@ class Source(Advises, ABC):
     @property
     def members(self) -> tuple[Member, ...]:
         """The files that it is made of, empty if there are none."""
+        from pdavis_cv.recording.members import members_of  # slow to import
         return () if self.path is None else members_of(self.path)
 
     @property

@@ -1,10 +1,8 @@
 """Facts about a recording: each a value, and where it comes from."""
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.sensor import SENSORS, Layout, Sensor, resolve_layout
@@ -13,8 +11,7 @@ FILE, CALLER, CALIBRATION = "file", "caller", "calibration"
 MEASURED, ASSUMED = "measured", "assumed"
 
 
-@dataclass(frozen=True, slots=True)
-class Fact:
+class Fact(NamedTuple):
     """A fact about a recording, and where it comes from.
 
     Parameters
@@ -58,6 +55,7 @@ def text_of(
         values["layout"] = layout.stored_angles, layout.owner
     if (sensor := values.pop("sensor", None)) in SENSORS.values():
         values["sensor"] = sensor.name
+    import json  # slow to import
     return json.dumps({
         "facts": values, "demosaic": demosaic, "biases": dict(biases), "origins": {
             name: fact.origin for name, fact in facts.items()
@@ -73,6 +71,7 @@ def _of_copy(text: str, found: Mapping[str, Fact]) -> dict[str, Fact]:
 
     A text that is damaged says nothing.
     """
+    import json  # slow to import
     try:
         stored = json.loads(text)
         values, origins = stored["facts"], dict(stored["origins"])

@@ -2,8 +2,8 @@
 from __future__ import annotations
 
 import os
-import threading
 import weakref
+from _thread import allocate_lock  # threading is slow to import
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ class FileReader:
             raise RecordingError(
                 f"{path}: cannot be opened: {error.strerror}") from error
         self._close = weakref.finalize(self, os.close, self._descriptor)
-        self._lock = threading.Lock()
+        self._lock = allocate_lock()
         self.size = os.fstat(self._descriptor).st_size
 
     def read(self, offset: int, size: int) -> bytes:

@@ -3,8 +3,8 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import threading
 import warnings
+from _thread import allocate_lock  # threading is slow to import
 from abc import abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import ExitStack
@@ -39,7 +39,7 @@ class ProblemLog:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._lock = threading.Lock()
+        self._lock = allocate_lock()
         self._found: dict[str, Problem] = {}
         self._seen: set[Hashable] = set()
         self._warned: set[type[Warning]] = set()

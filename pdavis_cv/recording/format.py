@@ -12,7 +12,7 @@ from pdavis_cv.registry import loaded
 _KINDS = frozenset(("events", "frames", "imu", "triggers"))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Format:
     """Description of a file format: how it is recognized, read and written.
 

@@ -2,19 +2,15 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Unpack
 
 from pdavis_cv._options import changed, names_options
 from pdavis_cv._remote import as_path, is_remote
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Recording
-from pdavis_cv.recording.images.names import is_four_planes
 from pdavis_cv.recording.options import SourceKeywords, SourceOptions
 from pdavis_cv.recording.registry import FORMATS, first_bytes, format_of, read_with
-from pdavis_cv.recording.text_form import PNM
 
 AnySource = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 """What can be opened: a path, a pattern of names, or several images in their order."""
@@ -84,16 +80,9 @@ def open_recording(
     except (OSError, ValueError) as error:  # a name too long
         raise RecordingError(f"{path}: cannot be opened: {error}") from None
     found = format_of(path, start)
-    if found is None and _is_text(start):
-        if options.columns is None:     # never an image, whatever the layout
-            raise _not_a_recording(path, start)
-        found = FORMATS["text"]
-    if found is None and (
-            options.known_layout is not None or options.analyser_steps is not None
-            or is_four_planes(str(path))):
-        found = FORMATS["images"]
-    if found is None:
-        raise _not_a_recording(path, first_bytes(path))
+    if found is None:       # here, as others need it not
+        from pdavis_cv.recording.unknown import format_with
+        found = format_with(options, path, start)
     if is_remote(path) and not found.by_ranges:
         raise RecordingError(
             f"{path}: {found.title} cannot be read by ranges: copy it to a disk")
@@ -111,41 +100,3 @@ def _images(
             raise RecordingError(
                 f"{path}: {found.title}: only images are one recording together")
     return paths
-
-
-def _not_a_recording(path: Path, start: bytes) -> RecordingError:
-    if path.is_dir():
-        bags = sorted(one.name for one in path.iterdir()
-                      if one.suffix in (".db3", ".mcap"))
-        return RecordingError(f"{path}: a folder that is not a recording" + (
-            f" (a bag without metadata.yaml: open {bags[0]} in it)" if bags else ""))
-    if start.startswith(b"#"):
-        return RecordingError(f"{path}: byte 0: {_other_aedat(start)}")
-    if not start:
-        return RecordingError(f"{path}: byte 0: the file is empty")
-    what = ("text, but no lines of events: time, x, y, polarity" if _is_text(start) else
-            "a video or image of a polarization camera needs its layout, e.g. "
-            'layout="sony"')
-    return RecordingError(
-        f"{path}: byte 0: not a recording, first bytes {start[:8]!r} ({what})")
-
-
-def _is_text(start: bytes) -> bool:
-    """Return whether a file begins with text that is no image (PNM is one)."""
-    return bool(start) and not _NOT_TEXT.search(start) and not PNM.match(start)
-
-
-_NOT_TEXT = re.compile(rb"[\x00-\x08\x0e-\x1f\x7f]")
-
-
-def _other_aedat(start: bytes) -> str:
-    """Return a message for a file of another AEDAT version.
-
-    A file without a version line would be AEDAT-1 with 16-bit addresses, for which the
-    documentation of jAER and of the vendor contradict each other.
-    """
-    if found := re.match(rb"#!AER-DAT([\w.]*)", start):
-        return (f"AEDAT-{found[1].decode() or '?'} is not read; DV converts it to "
-                "AEDAT-4")
-    return ("no line #!AER-DAT: not a recording, or AEDAT-1 of a DVS128 (16-bit "
-            "addresses), which is not read: no DAVIS wrote it")

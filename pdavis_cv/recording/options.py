@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypedDict
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from pdavis_cv._checks import checked_rate, sensor_shape, typed, whole_number
 from pdavis_cv._options import Options, documented, option
 from pdavis_cv._types import Parameters
 from pdavis_cv.recording.limits import Limits
 from pdavis_cv.sensor import SENSORS, Layout, Sensor
-from pdavis_cv.steps import AnalyserSteps
+
+if TYPE_CHECKING:
+    from pdavis_cv.steps import AnalyserSteps
 
 MOST_DN = 2**32
 """Largest full scale that is accepted; converters have 8 to 16 bits."""
@@ -153,8 +155,10 @@ class SourceOptions(Options):
         self._put("align_planes", bool(self.align_planes))
         self._put("trigger_channel", whole_number(
             "trigger_channel", self.trigger_channel, 0, 31))
-        typed("analyser_steps", self.analyser_steps, AnalyserSteps | str | None,
-              "AnalyserSteps or a str")
+        if self.analyser_steps is not None:
+            from pdavis_cv.steps import AnalyserSteps  # slow to import
+            typed("analyser_steps", self.analyser_steps, AnalyserSteps | str,
+                  "AnalyserSteps or a str")
         typed("limits", self.limits, Limits | None, "Limits")
         typed("isolated", self.isolated, bool, "a bool")
         if self.bad_events not in _BAD_EVENTS:

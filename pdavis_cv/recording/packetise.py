@@ -31,7 +31,7 @@ _MOST_KEPT = 16
 """A packet that keeps more than so many times its own memory is copied."""
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Batch:
     """Samples decoded by a reader, each kind in time order.
 

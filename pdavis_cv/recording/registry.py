@@ -13,7 +13,6 @@ from typing import Any
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.recording.format import Format
-from pdavis_cv.recording.images.names import is_four_planes
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.registry import Registry, instead, loaded
 
@@ -138,6 +137,7 @@ def is_recording(path: str | os.PathLike[str]) -> bool:
     here = Path(path)
     if here.suffix.lower() in suffixes():
         return True
+    from pdavis_cv.recording.images.names import is_four_planes  # slow to import
     try:
         return ((here.is_file() or here.is_dir()) and format_of(
             here, first_bytes(here)) is not None) or is_four_planes(os.fspath(path))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 import itertools
-import threading
+from _thread import allocate_lock  # threading is slow to import
 from bisect import bisect_left
 from collections.abc import Sequence
 from typing import Any
@@ -249,7 +249,7 @@ class Marks:
 
     def __init__(self, spacing: int) -> None:
         self._spacing = spacing
-        self._lock = threading.Lock()
+        self._lock = allocate_lock()
         self._places: list[int] = []
         self._newest: list[int] = []
         self._states: list[Any] = []

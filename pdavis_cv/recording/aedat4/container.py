@@ -6,12 +6,11 @@ FlatBuffer IOHE, packets of (int32 stream, int32 size, payload), a table FTAB.
 from __future__ import annotations
 
 import contextlib
-import heapq
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from functools import partial
-from xml.etree import ElementTree
+from typing import NamedTuple
+from xml.parsers import expat
 
 import lz4.frame
 import numpy as np
@@ -46,26 +45,24 @@ _HEAD = 24
 """Bytes that identify a packet: its header, and the beginning of its payload."""
 
 
-@dataclass(slots=True)
-class Entry:
-    """The location of a packet; count and times are None without an index."""
+class Entry(NamedTuple):
+    """The location of a packet; elements and times are None without an index."""
 
     stream: int
     offset: int
     size: int
-    count: int | None = None
+    elements: int | None = None
     start_us: int | None = None
     stop_us: int | None = None
 
 
-@dataclass(slots=True)
-class Stream:
+class Stream(NamedTuple):
     """A stream as described in the header."""
 
     number: int
     kind: str
-    attributes: dict[str, str] = field(default_factory=dict)
-    entries: list[Entry] = field(default_factory=list)
+    attributes: dict[str, str]
+    entries: list[Entry]
 
     @property
     def source(self) -> str:
@@ -216,7 +213,8 @@ class Aedat4File:
                 self.log.damage(
                     at, f"byte {at}: a packet that should end at byte {after} "
                     f"ends at {inside}", offset=at)
-                entry.size, after = max(inside - entry.offset, 0), inside
+                entry = entry._replace(size=max(inside - entry.offset, 0))
+                after = inside
             following = self._plausible(after, limit)
             yield entry
             at, entry = after, following
@@ -257,7 +255,7 @@ class Aedat4File:
         else:
             lz4_used = self.compression.startswith("LZ4")
             marks, before = {_LZ4_MAGIC if lz4_used else _ZSTD_MAGIC}, 8
-        for i in heapq.merge(*(_find_all(block, mark) for mark in marks)):
+        for i in sorted(i for mark in marks for i in _find_all(block, mark)):
             at = i - before
             if at >= 0 and self._plausible(base + at, limit, block[at:at + _HEAD]):
                 yield at
@@ -353,7 +351,7 @@ def parsed_header(data: bytes) -> tuple[str, int, dict[int, Stream]]:
         raise ValueError(f"unknown compression {code}")
     try:
         streams = {s.number: s for s in _streams(text)}
-    except (ElementTree.ParseError, ValueError) as error:
+    except (expat.ExpatError, ValueError) as error:
         raise ValueError(f"the header's XML is damaged: {error}") from error
     return COMPRESSIONS[code], position, streams
 
@@ -452,11 +450,36 @@ def _find_all(block: bytes, mark: bytes) -> Iterator[int]:
 
 def _streams(text: str) -> Iterator[Stream]:
     """Yield the streams: the nodes, at any depth, whose names are numbers."""
-    for node in ElementTree.fromstring(text.rstrip("\0")).iter("node"):
-        name = node.get("name", "")
-        if name.isdecimal():
-            attributes = {one.get("key", ""): one.text or ""
-                          for one in node.iter("attr")}
-            kind = attributes.get("typeIdentifier", "")
-            if len(kind) == 4 and kind.isascii():
-                yield Stream(int(name), kind, attributes)
+    found: list[tuple[str, dict[str, str]]] = []
+    around: list[dict[str, str]] = []   # attributes of each node that is open
+    key: str | None = None
+
+    def begin(tag: str, given: dict[str, str]) -> None:
+        nonlocal key
+        key = given.get("key", "") if tag == "attr" else None
+        if tag == "node":
+            around.append({})
+            found.append((given.get("name", ""), around[-1]))
+        elif key is not None:
+            for attributes in around:
+                attributes[key] = ""
+
+    def end(tag: str) -> None:
+        nonlocal key
+        key = None
+        if tag == "node":
+            around.pop()
+
+    def add(data: str) -> None:
+        if key is not None:
+            for attributes in around:
+                attributes[key] += data
+
+    parser = expat.ParserCreate()   # to import ElementTree takes longer than to parse
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.CharacterDataHandler = add
+    parser.Parse(text.rstrip("\0"), True)
+    for name, attributes in found:
+        kind = attributes.get("typeIdentifier", "")
+        if name.isdecimal() and len(kind) == 4 and kind.isascii():
+            yield Stream(int(name), kind, attributes, [])

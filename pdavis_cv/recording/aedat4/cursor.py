@@ -153,7 +153,7 @@ class Cursor:
         packets, entries = [], self._entries
         if self._trusted and not self._strict:
             group = entries[number:number - number % GROUP + GROUP]
-            if all(e.count <= SMALL for e in group):    # type: ignore[operator]
+            if all(e.elements <= SMALL for e in group):    # type: ignore[operator]
                 self.next = number + len(group)
         for i in range(number, self.next):
             try:
@@ -178,11 +178,11 @@ class Cursor:
         entry = self._entries[number]
         data, table = self._table(entry)
         at, count = samples.event_vector(table)
-        if entry.count not in (None, count):
+        if entry.elements not in (None, count):
             begin = entry.offset - 8
             self._file.log.damage(
                 (entry.offset, "count"), f"byte {begin}: a packet of {count} "
-                f"events, {entry.count} by the index", offset=begin)
+                f"events, {entry.elements} by the index", offset=begin)
         return data, at, count
 
     def _refuse(self, entry: Entry, events: NDArray[Any], bounds: tuple[int, int], *,

@@ -1,8 +1,7 @@
 """Decode the packets of AEDAT-4: events, frames, IMU samples, triggers."""
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +21,7 @@ class UnknownFrameError(PayloadError):
     """Raised for a frame whose pixels have a type that no event camera uses."""
 
 
-@dataclass(frozen=True, slots=True)
-class FrameScale:
+class FrameScale(NamedTuple):
     """Conversion of pixel values to 10-bit DN.
 
     Parameters
@@ -49,8 +47,7 @@ TEN_BIT = FrameScale(1.0, TEN_BIT_DN, TEN_BIT_DN)
 LEFT_JUSTIFIED = FrameScale(1 / 64, TEN_BIT_DN, TEN_BIT_DN << 6)
 
 
-@dataclass(slots=True)
-class RawFrame:
+class RawFrame(NamedTuple):
     """A frame as stored in the file.
 
     Parameters
