@@ -10,7 +10,7 @@ _MODULES = {
     "_aop_events": "aop_event_stokes",
     "_build": "DEBUG",
     "_bus": "read_out sort_events",
-    "_clock": "settle",
+    "_clock": "cells settle",
     "_colours": "colour_means smooth",
     "_davis_usb": "davis_words",
     "_degree": "degree_frame lasting_degree",

@@ -1,5 +1,6 @@
 """Put the samples of one stream in time order, on the evidence of those around."""
-from libc.stdint cimport int64_t
+from libc.stdint cimport int64_t, uint8_t
+from libc.string cimport memcpy
 
 from _kernels._check cimport (
     BACKWARD, BEFORE, LAST, OFFSET, ORDERED, SEGMENT_US, STATE, far_us)
@@ -159,3 +160,33 @@ def settle(event_t[::1] samples not None, Py_ssize_t accepted, Py_ssize_t n, int
     if m:
         state[BEFORE] = s[m - 1].t
     return w, w + n - i, m
+
+
+def cells(const uint8_t[::1] samples not None, Py_ssize_t size, int64_t width):
+    """Return where in samples each interval of time begins, and their first times.
+
+    Each of the samples, in time order, takes `size` bytes and begins with its time.
+    Intervals begin at multiples of `width`.
+    """
+    cdef Py_ssize_t n, low = 0, high, middle
+    cdef int64_t t, end
+    if size < 8 or samples.shape[0] % size or width < 1:
+        raise ValueError("cells: samples do not hold whole records")
+    n = samples.shape[0] // size
+    starts, times = [], []
+    while low < n:
+        memcpy(&t, &samples[low * size], 8)
+        starts.append(low)
+        times.append(t)
+        end = t     # of a time that is damaged: alone
+        if -far_us() <= t <= far_us():
+            end += width - (t % width + width) % width
+        low, high = low + 1, n
+        while low < high:
+            middle = low + (high - low) // 2
+            memcpy(&t, &samples[middle * size], 8)
+            if t < end:
+                low = middle + 1
+            else:
+                high = middle
+    return starts, times

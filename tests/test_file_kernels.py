@@ -7,6 +7,7 @@ import reference_files
 from streams import random_events
 
 from pdavis_cv import EVENT_DTYPE, _kernels
+from pdavis_cv.recording.base import TRIGGER_DTYPE
 
 SIZE = (260, 346)
 
@@ -103,6 +104,31 @@ def test_aedat2_words_equal_their_twin(n):
     again["t"] -= 77
     np.testing.assert_array_equal(again, events)
     assert not others
+
+
+@pytest.mark.parametrize("dtype", [EVENT_DTYPE, TRIGGER_DTYPE])
+@pytest.mark.parametrize("n", [0, 1, 2, 1000])
+def test_cells_equal_their_twin(n, dtype):
+    rng = np.random.default_rng(1001)
+    samples = np.zeros(n, dtype)
+    samples["t"] = np.sort(rng.integers(-70_000, 70_000, n))
+    samples["t"][::3] = samples["t"][::3] // 10_000 * 10_000
+    samples["t"].sort()
+    cell = samples["t"] // 10_000
+    starts = [i for i in range(n) if i == 0 or cell[i] != cell[i - 1]]
+    assert _kernels.cells(samples.view(np.uint8), samples.itemsize, 10_000) == (
+        starts, samples["t"][starts].tolist())
+
+
+def test_cells_of_any_times_are_whole():
+    samples = np.random.default_rng(1002).integers(0, 256, (500, 13), np.uint8)
+    starts, times = _kernels.cells(samples.reshape(-1), 13, 10_000)
+    assert starts[0] == 0
+    assert np.all(np.diff([*starts, 500]) > 0)
+    assert times == samples[starts, :8].copy().view("<i8")[:, 0].tolist()
+    for size, width in ((7, 1), (12, 1), (13, 0)):
+        with pytest.raises(ValueError, match="cells: "):
+            _kernels.cells(samples.reshape(-1), size, width)
 
 
 def test_places_outside_the_data_are_refused():

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv import _kernels
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.base import (
     IMU_DTYPE,
@@ -124,48 +125,43 @@ def between(samples: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
 
 
 class _Queue:
-    """Samples of one kind that are not yet in a packet."""
+    """Samples of one kind that are not yet in a packet, each piece of one cell."""
 
-    __slots__ = ("_chunks", "_empty", "_most", "_used", "nbytes", "next_us")
+    __slots__ = ("_empty", "_most", "_pieces", "nbytes", "next_us")
 
     def __init__(self, dtype: np.dtype[Any], most: int) -> None:
         self._most = most
-        self._chunks: deque[NDArray[Any]] = deque()
+        self._pieces: deque[tuple[int, NDArray[Any]]] = deque()
         self._empty = np.empty(0, dtype)
-        self._used = self.nbytes = 0
+        self.nbytes = 0
         self.next_us = END_OF_TIME
 
     def put(self, samples: NDArray[Any], begin: int) -> None:
-        if samples["t"][0] < begin:
-            samples = samples[bisect_left(samples["t"], begin):]
-            if not len(samples):
-                return
-        self._chunks.append(samples)
-        self.nbytes += samples.nbytes
-        if self.next_us == END_OF_TIME:
-            self.next_us = int(samples["t"][0])
+        starts, times = _kernels.cells(
+            np.ascontiguousarray(samples).view(np.uint8), samples.itemsize,
+            MAX_PACKET_US)
+        for t, start, stop in zip(times, starts, [*starts[1:], None], strict=True):
+            if t >= begin:
+                self._pieces.append((t, piece := samples[start:stop]))
+                self.nbytes += piece.nbytes
+        self.next_us = self._pieces[0][0] if self._pieces else END_OF_TIME
 
     def take(self, until: int, limit: int = END_OF_TIME) -> NDArray[Any]:
-        """Remove and return samples before until, at most limit."""
+        """Remove and return samples before until, at most limit, all of one cell."""
         if self.next_us >= until:
             return self._empty
-        got: list[NDArray[Any]] = []
-        while self._chunks and limit > 0:
-            chunk, lo = self._chunks[0], self._used
-            times = chunk["t"]
-            hi = min(len(chunk), lo + limit)
-            if times[hi - 1] >= until:
-                hi = bisect_left(times, until, lo, hi)
-            if hi > lo:
-                got.append(chunk[lo:hi])
-                limit -= hi - lo
-            if hi < len(chunk):
-                self._used = hi
-                break
-            self._chunks.popleft()
-            self._used = 0
-        self.next_us = (int(self._chunks[0]["t"][self._used])
-                        if self._chunks else END_OF_TIME)
+        pieces, got = self._pieces, []
+        while pieces and limit > 0 and pieces[0][0] < until:
+            _, piece = pieces.popleft()
+            hi = min(len(piece), limit)
+            if until % MAX_PACKET_US:
+                hi = bisect_left(piece["t"], until, 0, hi)
+            if hi < len(piece):
+                pieces.appendleft((int(piece["t"][hi]), piece[hi:]))
+                piece = piece[:hi]
+            got.append(piece)
+            limit -= hi
+        self.next_us = pieces[0][0] if pieces else END_OF_TIME
         found, base = got[0], got[0].base
         if len(got) > 1 or base is None or base.nbytes > self._most * found.nbytes:
             found = joined(got)
