@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -417,7 +417,8 @@ class Problem:
     stop_us: int | None = None
 
 
-class Report(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class Report:
     """Result of reading a recording from beginning to end.
 
     Parameters

@@ -2,7 +2,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.sensor import SENSORS, Layout, Sensor, resolve_layout
@@ -11,7 +12,8 @@ FILE, CALLER, CALIBRATION = "file", "caller", "calibration"
 MEASURED, ASSUMED = "measured", "assumed"
 
 
-class Fact(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Fact:
     """A fact about a recording, and where it comes from.
 
     Parameters
