@@ -4,7 +4,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -101,16 +101,17 @@ class ApsFrame(Advises):
             raise TypeError(f"valid must be bool, got {valid.dtype}")
         self.exposure_start_us = self._times("exposure_start_us", exposure_start_us)
         self.exposure_end_us = self._times("exposure_end_us", exposure_end_us)
-        if np.any(np.asarray(self.exposure_end_us) < self.exposure_start_us):
+        start, end = self.exposure_start_us, self.exposure_end_us
+        if np.any(end < start):
             raise ValueError(
                 "exposure_end_us must not be before exposure_start_us, got "
                 f"{self.exposure_start_us} .. {self.exposure_end_us}")
-        end = int(np.max(self.exposure_end_us))
-        self.available_us = end if available_us is None else checked_time(
+        last = end if isinstance(end, int) else int(np.max(end))
+        self.available_us = last if available_us is None else checked_time(
             "available_us", available_us)
-        if self.available_us < end:
+        if self.available_us < last:
             raise ValueError(
-                f"available_us must not be before the exposure's end {end}, got "
+                f"available_us must not be before the exposure's end {last}, got "
                 f"{available_us}")
         self.valid, self.reset, self.signal = valid, reset, signal
         self.full_scale_dn = whole_number("full_scale_dn", full_scale_dn, 1, MOST_DN)
@@ -219,9 +220,6 @@ class ApsFrame(Advises):
                 f"exposure {self.exposure_ms:g} ms)")
 
 
-new_array: Callable[[int, np.dtype[Any]], NDArray[Any]] = np.empty
-"""Makes memory for samples; a process that sends them to another has its own."""
-
 # glibc returns memory at the end of its heap to the system, but from then on that a
 # block of this size was released it keeps as much: each packet would else come of
 # pages that the system has to make, which takes longer than to decode it.
@@ -230,7 +228,7 @@ np.empty(1 << 23, np.uint8)
 
 def joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """Return one or more arrays of the same dtype as one array, a copy."""
-    out = new_array(sum(map(len, parts)), parts[0].dtype)
+    out = np.empty(sum(map(len, parts)), parts[0].dtype)
     # Copy bytes, as NumPy copies packed structures field by field.
     data, at = out.view(np.uint8), 0
     for part in parts:

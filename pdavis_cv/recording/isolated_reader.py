@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import mmap
 import os
 import pickle
@@ -11,10 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from pdavis_cv.recording import base, sandbox, wire
+from pdavis_cv.recording import sandbox, wire
 from pdavis_cv.recording.base import Packet, Problem, Recording
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.open import open_recording
@@ -23,8 +21,6 @@ _FULL = 2 << 20
 """Bytes of arrays from which packets are sent.  A choice."""
 _MORE_BYTES = 512 << 20
 """Memory beside that of `Limits`: what libraries take."""
-_ROOM = 1 << 26
-"""Bytes of samples that readers make in the shared memory.  A choice."""
 _HERE = Path(__file__).resolve().parents[2]
 
 
@@ -42,7 +38,7 @@ class _Window:
             while size < _FULL and (packet := next(self._packets, None)) is not None:
                 self._ready.append(packet)
                 size += packet.events.nbytes + packet.imu.nbytes + sum(
-                    3 * frame.dn.nbytes for frame in packet.frames)
+                    4 * math.prod(frame.shape) for frame in packet.frames)
         except Exception as error:
             self._error = error
 
@@ -66,9 +62,7 @@ def serve(most: int, hears: int, says: int, shared: int) -> None:
     hears, says, shared : int
         Descriptors of pipes and of the shared memory.
     """
-    room, kept = wire.Room(memoryview(mmap.mmap(shared, most))), list[NDArray[Any]]()
-    base.new_array = lambda count, dtype: np.empty(count, dtype) if (
-        found := room.new(count * dtype.itemsize, _ROOM)) is None else found.view(dtype)
+    memory = mmap.mmap(shared, most)
     ask, say, said = open(hears, "rb"), open(says, "wb"), list[tuple[str, str]]()
     warnings.simplefilter("always")
     warnings.showwarning = lambda text, kind, *_: said.append(
@@ -103,16 +97,15 @@ def serve(most: int, hears: int, says: int, shared: int) -> None:
     with contextlib.suppress(EOFError, BrokenPipeError):
         while True:
             question = pickle.loads(wire.receive(ask))
-            kept.clear()
             try:
                 text = wire.written(
-                    (answer(question), None, problems(), said), room, kept)
+                    (answer(question), None, problems(), said), memory)
             except Exception as error:
                 lacks = isinstance(error, MemoryError) or "memory alloc" in str(error)
                 known = budget.over("memory", "its reader") if lacks else error
                 text = wire.written((
                     None, (type(known).__name__, str(known)), problems(), said),
-                    room, kept)
+                    memory)
             said.clear()
             wire.send(say, text)
             if question[0] == "next":

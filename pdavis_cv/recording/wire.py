@@ -5,12 +5,12 @@ process writes is executed.
 """
 from __future__ import annotations
 
-import bisect
 import dataclasses
 import json
+import math
+import mmap
 import struct
-import weakref
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -28,14 +28,15 @@ from pdavis_cv.recording.base import (
 from pdavis_cv.sensor import Layout, Sensor
 
 _MADE: dict[str, Any] = {one.__name__: one for one in (
-    ApsFrame, Layout, Packet, Problem, RecordingInfo, Sensor)}
-_FIELDS = {name: [(one.lstrip("_"), one) for one in (
+    ApsFrame, Layout, Problem, RecordingInfo, Sensor)}
+_FIELDS = {name: {one.lstrip("_"): one for one in (
     ApsFrame.__slots__ if kind is ApsFrame else
-    [one.name for one in dataclasses.fields(kind)])] for name, kind in _MADE.items()}
-_DTYPES = [EVENT_DTYPE, IMU_DTYPE, TRIGGER_DTYPE,
-           *(np.dtype(one) for one in ("?", "u1", "u2", "u4", "i1", "i2", "i4", "i8",
-                                       "f4", "f8"))]
+    [one.name for one in dataclasses.fields(kind)])} for name, kind in _MADE.items()}
+_KINDS = {"events": EVENT_DTYPE, "imu": IMU_DTYPE, "triggers": TRIGGER_DTYPE}
+_DTYPES = [np.dtype(one) for one in (
+    "?", "u1", "u2", "u4", "i1", "i2", "i4", "i8", "f4", "f8")]
 _NUMBERS = {dtype: number for number, dtype in enumerate(_DTYPES)}
+_TEXT = json.JSONEncoder(check_circular=False, separators=(",", ":"))
 _SIZE = struct.Struct("<q")
 
 
@@ -62,85 +63,46 @@ def receive(pipe: BinaryIO, most: int = 1 << 62) -> bytes:
     return data
 
 
-class Room:
-    """Memory for arrays, which is free again when no array is left in it.
-
-    Parameters
-    ----------
-    memory : memoryview
-        Shared with the process that reads the arrays.
-    """
-
-    def __init__(self, memory: memoryview) -> None:
-        self._memory, self._start = memory, np.frombuffer(memory, np.uint8).ctypes.data
-        self._parts: list[tuple[int, int, weakref.ref[NDArray[Any]]]] = []
-
-    def new(self, size: int, stop: int) -> NDArray[np.uint8] | None:
-        """Return the first free part of a size, None if there is none before `stop`."""
-        at, self._parts = 0, [one for one in self._parts if one[2]() is not None]
-        for begin, end, _ in self._parts:
-            if at + size <= begin:
-                break
-            at = end
-        if at + size > stop:
-            return None
-        got = np.frombuffer(self._memory, np.uint8, size, at)
-        bisect.insort(
-            self._parts, (at, at + size, weakref.ref(got)), key=lambda one: one[0])
-        return got
-
-    def put(self, array: NDArray[Any]) -> tuple[int, NDArray[Any]]:
-        """Return the place of an array, which is copied if it lies elsewhere, and it.
-
-        Raises
-        ------
-        MemoryError
-            If it does not fit.
-        """
-        if not array.size:
-            return 0, array
-        at = array.ctypes.data - self._start
-        if 0 <= at < len(self._memory) and array.flags.c_contiguous:
-            return at, array
-        if (got := self.new(array.nbytes, len(self._memory))) is None:
-            raise MemoryError
-        got[:] = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
-        return self.put(got)
-
-
-def written(value: Any, room: Room, kept: list[NDArray[Any]]) -> bytes:
-    """Return a value as text.
+def written(value: Any, memory: mmap.mmap) -> bytes:
+    """Return a value as text, whose arrays are written to the shared memory.
 
     Parameters
     ----------
     value : object
         Anything else than numbers, texts, arrays, sequences, mappings and the objects
         of recordings is written as its text.
-    room : Room
-    kept : list of ndarray
-        Gets the arrays, which must be kept until the text was read.
+    memory : mmap
+        What it held before is lost.
 
     Raises
     ------
     MemoryError
         If the arrays do not fit.
     """
+    memory.seek(0)
+
+    def placed(arrays: Iterable[NDArray[Any]]) -> int:
+        at = memory.tell()
+        for array in arrays:
+            if array.nbytes > len(memory) - memory.tell():
+                raise MemoryError
+            memory.write(np.ascontiguousarray(array))   # type: ignore[arg-type]
+        return at
+
     def plain(value: Any) -> Any:
         if value is None or isinstance(value, (bool, int, float, str)):
             return value
         if isinstance(value, np.ndarray):
-            at, array = room.put(value)
-            kept.append(array)
-            return {"array": [_NUMBERS[value.dtype], value.shape, at,
+            return {"array": [_NUMBERS[value.dtype], value.shape, placed([value]),
                               value.flags.writeable]}
-        if isinstance(value, Packet) and value.until_us is None and not (
-                value.frames or len(value.imu) or len(value.triggers)):
-            at, array = room.put(value.events)      # most packets, to be fast
-            kept.append(array)
-            return {"events": [len(value.events), at]}
+        if isinstance(value, list) and value and isinstance(value[0], Packet):
+            return {"packets": [
+                [[len(one.events), len(one.imu), len(one.triggers),
+                  plain(one.until_us), [*map(plain, one.frames)]] for one in value],
+                placed(getattr(one, kind) for kind in _KINDS for one in value)]}
         if (kind := type(value).__name__) in _MADE:
-            return {kind: [(name, plain(getattr(value, field)))
-                           for name, field in _FIELDS[kind]]}
+            return {kind: [plain(getattr(value, field))
+                           for field in _FIELDS[kind].values()]}
         if isinstance(value, np.generic):
             return plain(value.item())
         if isinstance(value, list):
@@ -151,31 +113,47 @@ def written(value: Any, room: Room, kept: list[NDArray[Any]]) -> bytes:
             return {"dict": [[plain(name), plain(one)] for name, one in value.items()]}
         return str(value)
 
-    return json.dumps(plain(value)).encode()
+    return _TEXT.encode(plain(value)).encode()
 
 
 def read(text: bytes, memory: memoryview) -> Any:
-    """Return what `written` wrote; arrays are copies.
+    """Return what `written` wrote; arrays are copies, one for all packets of a list.
 
     Raises
     ------
     ValueError, TypeError, LookupError, RecursionError, MemoryError
         If it is something else.
     """
+    def copied(count: int, dtype: np.dtype[Any], at: int) -> NDArray[Any]:
+        if count < 0:
+            raise ValueError("arrays have no negative size")
+        return np.frombuffer(
+            memory, np.uint8, count * dtype.itemsize, at).copy().view(dtype)
+
+    def packets(rows: list[Any], at: int) -> Iterator[Packet]:
+        columns = []
+        for i, dtype in enumerate(_KINDS.values()):
+            columns.append(copied(sum(row[i] for row in rows), dtype, at))
+            at += columns[-1].nbytes
+        (events, imu, triggers), e, i, t = columns, 0, 0, 0
+        for n_events, n_imu, n_triggers, until_us, frames in rows:
+            yield Packet(events[e:(e := e + n_events)], tuple(frames),
+                         imu[i:(i := i + n_imu)],
+                         triggers[t:(t := t + n_triggers)], until_us)
+
     def made(value: dict[str, Any]) -> Any:
         [(kind, rest)] = value.items()
-        if kind == "events":
-            return Packet(made({"array": [0, *rest, True]}))
+        if kind == "packets":
+            return [*packets(*rest)]
         if kind == "array":
             which, shape, at, writeable = rest
-            dtype = _DTYPES[which]
-            array = np.empty(shape, dtype)
-            array.reshape(-1).view(np.uint8)[:] = np.frombuffer(
-                memory, np.uint8, array.nbytes, at)
+            array = copied(math.prod(shape), _DTYPES[which], at).reshape(shape)
             array.flags.writeable = writeable
             return array
         if kind == "tuple":
             return tuple(rest)
-        return dict(rest) if kind == "dict" else _MADE[kind](**dict(rest))
+        if kind == "dict":
+            return dict(rest)
+        return _MADE[kind](**dict(zip(_FIELDS[kind], rest, strict=True)))
 
     return json.loads(text, object_hook=made)

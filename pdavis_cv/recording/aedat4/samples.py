@@ -165,14 +165,16 @@ def aps_frame(
     if not all(-FAR <= t <= FAR for t in times):
         raise PayloadError(f"a frame at {times[0]} us")
     usable = raw.pixels < scale.clipped
-    dn = raw.pixels * np.float32(scale.factor)
+    kind = np.uint16 if scale.factor >= 1 else np.float32   # integers take less memory
+    dn = raw.pixels * kind(scale.factor)
     if (height, width) != size:
         window = np.s_[raw.y:raw.y + height, raw.x:raw.x + width]
-        whole, valid = np.zeros(size, np.float32), np.zeros(size, np.bool_)
+        whole, valid = np.zeros(size, kind), np.zeros(size, np.bool_)
         whole[window], valid[window] = dn, usable
         dn, usable = whole, valid
     if flip:
         dn, usable = dn[::-1], usable[::-1]
+    dn.flags.writeable = kind is np.float32
     return ApsFrame(
         dn, times[0], times[1], available_us=times[2],
         full_scale_dn=scale.full_scale_dn,
