@@ -4,13 +4,14 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from pdavis_cv._types import Image
 
+T = TypeVar("T")
 MOST_SIDE = 65_536
 """Largest side of a sensor, pixels: coordinates of events have 16 bits."""
 MOST_ANGLE = 1e6
@@ -57,6 +58,13 @@ def typed(name: str, value: object, kind: Any, what: str) -> None:
     """Raise TypeError unless a value is of a kind; `what` says which."""
     if not isinstance(value, kind):
         raise TypeError(f"{name} must be {what}, got {type(value).__name__}")
+
+
+def some(name: str, values: Sequence[T]) -> Sequence[T]:
+    """Return a sequence; raise ValueError if it holds nothing."""
+    if not len(values):
+        raise ValueError(f"{name} must be one or more, got none")
+    return values
 
 
 def positive(name: str, value: float) -> float:

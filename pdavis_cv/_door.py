@@ -15,7 +15,7 @@ import re
 import sys
 import types
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Literal
 
 import lazy_loader
@@ -121,6 +121,9 @@ class _Names(dict[str, Any]):
 def fits(value: Any, hint: Any) -> bool:
     """Return whether a value is of an annotated type, or may be taken for it."""
     kind, inside = typing.get_origin(hint), typing.get_args(hint)
+    if isinstance(value, np.ndarray) and not value.ndim and isinstance(
+            kind, type) and issubclass(kind, Iterable):
+        return False        # although it has an __iter__
     if kind is np.ndarray:
         return isinstance(value, np.ndarray) and value.dtype.kind in (
             "biufcV" if "Any" in str(inside[-1]) else "biufc")

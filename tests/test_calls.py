@@ -6,6 +6,7 @@ import os
 import re
 import traceback
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 
 import boundaries
@@ -101,6 +102,7 @@ def test_errors_say_what_is_wrong_with_an_argument(
 
 
 @pytest.mark.parametrize(("value", "hint", "expected"), [
+    (np.array(1), Iterable[int], False), (np.array([1]), Iterable[int], True),
     (1, int, True), (np.int8(1), int, True), (1.0, int, False), (1, float, True),
     ("x", float, False), (None, int | None, True), ("x", str | None, True),
     (np.zeros(2), np.ndarray[tuple[int], np.dtype[np.float64]], True),

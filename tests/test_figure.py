@@ -62,6 +62,28 @@ def test_a_png_has_the_pixels_of_its_millimetres(tmp_path):
     assert export.read_embedded(tmp_path / "a.png") == {"method": "frames"}
 
 
+@pytest.mark.parametrize(("given", "said"), [
+    *(({"width_mm": one}, "width_mm must lie in 21..5000 for 3 columns, got")
+      for one in (0, -5, 20.9, 5001, 1e12, np.inf, np.nan)),
+    *(({"dpi": one}, "dpi must be positive and finite, got")
+      for one in (0, -1, np.nan, np.inf)),
+    *(({"dpi": one}, r"dpi must give 1\.\.65535 pixels a side, .* for 85 x")
+      for one in (0.1, 1e5, 1e300)),
+    *(({"columns": one}, r"columns must be a whole number of 1\.\.65536, got")
+      for one in (0, -1, 1.5)),
+    ({"pictures": []}, "pictures must be one or more, got none"),
+    ({"panels": PANELS[:2]}, "panels must be as many as pictures, 3, got 2"),
+    ({"pictures": [np.zeros((3, 4))] * 3}, "picture must be uint8, got float64"),
+    ({"pictures": [*PICTURES[:2], PICTURES[2][:9]]}, "pictures must have one shape")])
+@pytest.mark.parametrize("suffix", [".png", ".pdf"])
+def test_what_gives_no_figure_is_refused(tmp_path, suffix, given, said):
+    with pytest.raises((ValueError, TypeError), match=said):
+        export.write_figure(tmp_path / f"a{suffix}", **{
+            "pictures": PICTURES, "panels": PANELS, "width_mm": 85, "columns": 3,
+            **given})
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_figure_of_another_kind_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"must end in \.pdf, \.svg, \.png, got '\.p'"):
         write(tmp_path / "a.p")

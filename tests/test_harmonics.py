@@ -207,6 +207,8 @@ def test_events_of_still_light_have_no_frequency():
     still, _ = camera.record(FlatLight(dolp=0.3), 1.0)
     assert event_hz(still, [region], still.info.layout, 0, 1_000_000) is None
     assert event_hz(still, [region], still.info.layout, 0, 10_000) is None
+    with pytest.raises(ValueError, match="rois must be one or more, got none"):
+        event_hz(still, [], still.info.layout, 0, 1_000_000)
 
 
 def test_columns_that_are_exposed_later_are_brought_to_one_time():

@@ -84,6 +84,8 @@ def test_a_packet_that_breaks_the_rules_is_named(packets, message):
 def test_what_is_not_an_iterable_is_refused():
     with pytest.raises(TypeError, match="iterable of Packet, got int"):
         source_from_packets(INFO, 7)
+    with pytest.raises(TypeError, match="packets must be iterable of Packet, got ndar"):
+        source_from_packets(INFO, np.array(7))
     with pytest.raises(TypeError, match="info must be a RecordingInfo, got dict"):
         source_from_packets({}, [])
 

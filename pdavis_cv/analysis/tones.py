@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv._checks import fitting, floats
+from pdavis_cv._checks import fitting, floats, some
 from pdavis_cv.analysis.roi import Roi
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.sensor import Layout
@@ -91,7 +91,13 @@ def event_hz(
     -------
     float or None
         None if no line stands out.
+
+    Raises
+    ------
+    ValueError
+        If there is no region.
     """
+    rois = some("rois", rois)
     if recording.info.event_count == 0:
         return None
     height, width = recording.info.sensor_size

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv._checks import fitting, floats, planes
+from pdavis_cv._checks import fitting, floats, planes, some
 from pdavis_cv._types import Records
 from pdavis_cv.analysis.optics import subtract_background
 from pdavis_cv.analysis.roi import Roi
@@ -177,11 +177,9 @@ class TraceRecorder:
         self, rois: Sequence[Roi], *, estimate: str = "stokes",
         background: ArrayLike | None = None,
     ) -> None:
-        if not rois:
-            raise ValueError("rois must hold at least one region")
         if estimate not in ("stokes", "pixels"):
             raise ValueError(f"estimate must be 'stokes' or 'pixels', got {estimate!r}")
-        self.rois, self.estimate = tuple(rois), estimate
+        self.rois, self.estimate = tuple(some("rois", rois)), estimate
         self._background = None if background is None else np.asarray(background)
         self._rows: list[list[NDArray[Any]]] = []
         self._places: list[tuple[slice, slice, NDArray[np.bool_]]] = []
@@ -301,12 +299,12 @@ def event_counts(
     Raises
     ------
     ValueError
-        If the edges do not increase.
+        If there is no region, or the edges do not increase.
     """
     edges = floats("edges_us", edges_us, np.int64)
     if edges.ndim != 1 or len(edges) < 2 or np.any(np.diff(edges) <= 0):
         raise ValueError("edges_us must be two or more increasing times")
-    masks = [roi.mask(recording.info.sensor_size) for roi in rois]
+    masks = [roi.mask(recording.info.sensor_size) for roi in some("rois", rois)]
     counts = np.zeros((len(masks), len(edges) - 1), np.int64)
     for packet in recording.packets(int(edges[0]), int(edges[-1])):
         events = packet.events

@@ -1,12 +1,14 @@
 """Figures for print: pictures in a file of a physical size, with text as text."""
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv._checks import MOST_SIDE, positive, some, whole_number
 from pdavis_cv._types import Facts
 from pdavis_cv.export.embedded import embed_png, to_json
 from pdavis_cv.render import (
@@ -18,13 +20,15 @@ from pdavis_cv.render import (
     bar_legend,
     hatch,
 )
-from pdavis_cv.render.colours import Picture
+from pdavis_cv.render.colours import Picture, checked_picture
 
 FIGURES = (".pdf", ".svg", ".png")
 _MM = 25.4          # per inch
 _MARGIN, _GAP = 1.0, 2.0            # mm
 _LINE, _WHEEL, _BAR = 3.4, 5.0, 2.0  # mm: a line of text, the wheel's radius, a bar
 _POINTS = 7.0       # size of text; smaller where a line must fit its panel
+_NARROWEST, _WIDEST = 5.0, 5000.0    # mm, of a picture and a figure; PDF ends there
+_MOST = 1 << 28     # pixels of a PNG: a gigabyte to draw it
 _FINE = 200         # pixels of a legend's radius or height, smooth at any zoom
 
 
@@ -63,7 +67,8 @@ def write_figure(
     ImportError
         If matplotlib is missing.
     ValueError
-        If the suffix is another.
+        If the suffix is another, pictures or panels are none or not as many, or a
+        number is out of range.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in FIGURES:
@@ -72,7 +77,18 @@ def write_figure(
         from matplotlib import rc_context
     except ModuleNotFoundError:
         raise ImportError("a figure needs matplotlib: pip install matplotlib") from None
-    page = _Page(pictures, width_mm, columns, title, style)
+    if len(panels) != len(some("pictures", pictures)):
+        raise ValueError(f"panels must be as many as pictures, {len(pictures)}, got "
+                         f"{len(panels)}")
+    shapes = {checked_picture(one).shape for one in pictures}
+    if len(shapes) > 1:
+        raise ValueError(f"pictures must have one shape, got {sorted(shapes)}")
+    page = _Page(pictures, width_mm,
+                 whole_number("columns", columns, 1, MOST_SIDE), title, style)
+    pixels = [side / _MM * positive("dpi", dpi) for side in page.size]
+    if not 1 <= min(pixels) <= max(pixels) < MOST_SIDE or math.prod(pixels) > _MOST:
+        raise ValueError(f"dpi must give 1..{MOST_SIDE - 1} pixels a side, {_MOST} in "
+                         f"all, got {dpi!r} for {page.size[0]:g} x {page.size[1]:g} mm")
     for i, (picture, panel) in enumerate(zip(pictures, panels, strict=True)):
         page.panel(i, picture, panel)
     with write_beside(path) as part, rc_context({
@@ -96,6 +112,10 @@ class _Page:
         self.style = style
         self.ground, self.ink = (str(grey / 255) for grey in (style.ground, style.ink))
         self.columns = min(columns, len(pictures))
+        least = 2 * _MARGIN - _GAP + self.columns * (_GAP + _NARROWEST)
+        if not least <= width_mm <= _WIDEST:
+            raise ValueError(f"width_mm must lie in {least:g}..{_WIDEST:g} for "
+                             f"{self.columns} columns, got {width_mm!r}")
         self.width = (width_mm - 2 * _MARGIN + _GAP) / self.columns - _GAP
         height, width = pictures[0].shape[:2]
         self.tall = self.width * height / width

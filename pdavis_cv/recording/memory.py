@@ -93,11 +93,7 @@ def recording_from_arrays(
         If time runs backward, or an event or a frame lies outside the sensor.
     """
     events = np.empty(0, EVENT_DTYPE) if events is None else timed_events(events)
-    try:
-        frames = tuple(frames)
-    except TypeError:       # an array of no dimension has an __iter__, too
-        raise TypeError(
-            f"frames must be ApsFrames, got {type(frames).__name__}") from None
+    frames = tuple(frames)
     layout = None if layout is None else Layout.of(layout)
     height, width = sensor_shape(sensor_size, "sensor_size")
     check_order(events)

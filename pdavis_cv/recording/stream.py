@@ -19,7 +19,7 @@ class StreamSource(Source):
 
     def __init__(self, info: RecordingInfo, packets: Iterable[Packet]) -> None:
         self._info = info
-        self._packets = packets
+        self._packets, self._iterator = packets, iter(packets)
         self._lock = threading.Lock()
         self._begun = self._closed = False
 
@@ -51,7 +51,7 @@ class StreamSource(Source):
 
     def _checked(self) -> Iterator[Packet]:
         last: int | None = None
-        for number, packet in enumerate(self._packets):
+        for number, packet in enumerate(self._iterator):
             if self._closed:
                 raise ValueError("source is closed")
             start, stop = packet.start_us, packet.stop_us
@@ -117,5 +117,4 @@ def source_from_packets(info: RecordingInfo, packets: Iterable[Packet]) -> Sourc
     0
     """
     typed("info", info, RecordingInfo, "a RecordingInfo")
-    typed("packets", packets, Iterable, "an iterable of Packet")
     return StreamSource(info, packets)

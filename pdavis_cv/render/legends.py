@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv._checks import whole_number
+from pdavis_cv._checks import some, whole_number
 from pdavis_cv._opencv import opencv
 from pdavis_cv._types import Image
 from pdavis_cv.render.colours import (
@@ -193,8 +193,8 @@ def tile(
     """
     columns = whole_number("columns", columns, 1, MOST_PIXELS)
     gap = whole_number("gap", gap, 0, MOST_PIXELS)
-    height, width = (max(checked_picture(one).shape[axis] for one in some(pictures))
-                     for axis in (0, 1))
+    height, width = (max(checked_picture(one).shape[axis]
+                         for one in some("pictures", pictures)) for axis in (0, 1))
     rows = -(-len(pictures) // columns)
     columns = min(columns, len(pictures))
     gap *= style.zoom
@@ -231,7 +231,7 @@ def stack(
         BGR; W' is the largest width.
     """
     gap = whole_number("gap", gap, 0, MOST_PIXELS)
-    width = max(checked_picture(picture).shape[1] for picture in some(pictures))
+    width = max(checked_picture(one).shape[1] for one in some("pictures", pictures))
     height = sum(picture.shape[0] + gap for picture in pictures) - gap
     sheet = np.full((height, width, 3), style.ground, np.uint8)
     top = 0
@@ -239,13 +239,6 @@ def stack(
         sheet[top:top + picture.shape[0], :picture.shape[1]] = picture
         top += picture.shape[0] + gap
     return sheet
-
-
-def some(pictures: Sequence[Picture]) -> Sequence[Picture]:
-    """Return pictures; raise ValueError if there is none."""
-    if not len(pictures):
-        raise ValueError("pictures must be one or more, got none")
-    return pictures
 
 
 def even(picture: Image) -> Image:
