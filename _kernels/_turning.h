@@ -4,6 +4,7 @@
 
 #include "_clones.h"
 #include "_math.h"
+#include "_prefetch.h"
 
 #define PDAVIS_PIXELS 64        /* that are computed together */
 #define LEAST_DET 1e-20f
@@ -16,6 +17,13 @@
 #define UNKNOWN 0.1f            /* and its most error of DoLP, */
 #define UNSURE 0.2f             /* and of AoP */
 #define MOST_ANGLE 0.9068997f   /* error of a random angle: pi / sqrt(12) */
+#define PDAVIS_EVENTS 16        /* that are computed together */
+#define DARKEST 0.02f           /* of 1 + q: least intensity in a weight, relative */
+#define FEW 0.8f                /* most that an event fades those before it: where fewer
+                                   than some five come in a window, it is longer */
+#define GUESS 0.0256f           /* weight of a row of the middle of a gap: its level is
+                                   known to 0.25 thresholds, an event's to 0.04 */
+#define OUTLIER 0.25f           /* residual that halves a row's weight, thresholds */
 
 /* 128 bytes without gaps; what an image needs are the first 64. */
 typedef struct {
@@ -33,12 +41,30 @@ typedef struct {
     float n0, g0, h0, y0;       /* of OFF rows */
 } turning_cell_t;
 
+/* Events of as many pixels, with what their cells hold: s1 to n are then what rows add
+   to sums that have faded by `fade`, `rest` to one that has faded by `slow`, and l11 to
+   weight what they add to the lasting sums, the last four to those of its polarity. */
+typedef float turning_lanes_t[PDAVIS_EVENTS];
+typedef struct {
+    double half[PDAVIS_EVENTS];         /* of what 2a moved since the last event, turns */
+    turning_lanes_t dt, c, s, c0, s0;   /* c0, s0: cos 2a, sin 2a at the last event */
+    turning_lanes_t root;               /* exp of half the threshold */
+    turning_lanes_t sign, same;         /* same: 1 if it is that of the last, else 0 */
+    turning_lanes_t fade, slow, rest, s1, s2, a11, a12, a22, b1, b2, yy;
+    turning_lanes_t l11, l12, l22, m1, m2, zz, weight, wg, wh, wy;
+} turning_rows_t;
+
 /* A time, us; half a turn, us; rate of the slower decay per us; part of the drift of q
    that is its error; relative error that all thresholds have in common. */
 typedef struct {
     double t;
     float half_us, decay, late, common;
 } turning_read_t;
+
+PDAVIS_INLINE float larger(float a, float b)
+{
+    return a > b ? a : b;
+}
 
 /* Solve for q, at most fully polarized; return 1 / determinant. */
 PDAVIS_INLINE float turning_solve(float a11, float a12, float a22, float b1, float b2,
@@ -55,9 +81,102 @@ PDAVIS_INLINE float turning_solve(float a11, float a12, float a22, float b1, flo
     return det;
 }
 
-PDAVIS_INLINE float larger(float a, float b)
+/* Cosine and sine of so many turns, within 3e-7: cephes' cosf and sinf. */
+PDAVIS_INLINE void turning_circle(double turns, float *cosine, float *sine)
 {
-    return a > b ? a : b;
+    const double whole = 6755399441055744.0;    /* 1.5 2^52: adding it rounds */
+    float x = 4.0f * (float)(turns - ((turns + whole) - whole));
+    float quarters = x + 12582912.0f, r, z, c, s;
+    int32_t turn = bits_of(quarters), odd = -(turn & 1);
+    r = (x - (quarters - 12582912.0f)) * 1.57079633f;
+    z = r * r;
+    s = r + r * z * (-1.6666654611e-1f + z * (8.3321608736e-3f
+                                              - z * 1.9515295891e-4f));
+    c = 1.0f - 0.5f * z + z * z * (4.166664568298827e-2f + z * (
+        -1.388731625493765e-3f + z * 2.443315711809948e-5f));
+    *sine = float_of(bits_of(pick(odd, c, s)) ^ (PDAVIS_SIGN & -(turn >> 1 & 1)));
+    *cosine = float_of(bits_of(pick(odd, s, c)) ^ (PDAVIS_SIGN & -((turn + 1) >> 1 & 1)));
+}
+
+/* The intensity in units of S0/2. */
+PDAVIS_INLINE float turning_light(float q1, float q2, float c, float s)
+{
+    return larger(1.0f + q1 * c + q2 * s, DARKEST);
+}
+
+/* The rows of events that have a predecessor: that of the event, and one of the middle
+   of the gap.  per_tau: rate of the slower decay per us. */
+PDAVIS_CLONES PDAVIS_UNUSED static void turning_rows(
+    turning_rows_t *restrict e, float per_tau, float share)
+{
+    int i;
+    for (i = 0; i < PDAVIS_EVENTS; i++) {
+        float slow = pd_exp(e->dt[i] * per_tau), fast = slow * slow;
+        float fade = larger(fast, FEW), c0 = e->c0[i], s0 = e->s0[i];
+        float root = e->root[i], inverse = 1.0f / root, step = root - inverse;
+        float y = e->sign[i] * step, ridge = step * (ROW_FLOOR / WIDE);
+        float q1, q2, here, before, cm, sm, g, h, half, w, wg, wh, error, most, k;
+        ridge *= ridge;
+        turning_solve(e->a11[i] * fade + ridge, e->a12[i] * fade,
+                      e->a22[i] * fade + ridge, e->b1[i] * fade, e->b2[i] * fade,
+                      &q1, &q2);
+        here = turning_light(q1, q2, e->c[i], e->s[i]);
+        before = turning_light(q1, q2, c0, s0);
+        /* The middle of the gap: half the step, none where the polarity reversed. */
+        turning_circle(e->half[i], &cm, &sm);
+        g = c0 * cm - s0 * sm;
+        h = s0 * cm + c0 * sm;
+        w = GUESS * share / (before * turning_light(q1, q2, g, h));
+        half = 0.25f * y * e->same[i];          /* of ln I to each side of it */
+        g = g - c0 - half * (g + c0);
+        h = h - s0 - half * (h + s0);
+        half *= 2.0f;
+        wg = w * g;
+        wh = w * h;
+        e->a11[i] = wg * g;
+        e->a12[i] = wg * h;
+        e->a22[i] = wh * h;
+        e->b1[i] = wg * half;
+        e->b2[i] = wh * half;
+        e->yy[i] = w * half * half;
+        /* The event itself, as exp(-ln step / 2) I - exp(ln step / 2) I before. */
+        w = 1.0f / sqrtf(here * before);
+        most = e->sign[i] > 0.0f ? root : inverse;
+        inverse = e->sign[i] > 0.0f ? inverse : root;
+        g = (e->c[i] * inverse - c0 * most) * w;
+        h = (e->s[i] * inverse - s0 * most) * w;
+        k = OUTLIER * y;
+        y *= w;
+        error = y - g * q1 - h * q2;
+        e->a11[i] += g * g;
+        e->a12[i] += g * h;
+        e->a22[i] += h * h;
+        e->b1[i] += g * y;
+        e->b2[i] += h * y;
+        e->yy[i] += y * y;
+        e->s1[i] = g * error;
+        e->s2[i] = h * error;
+        most = 2.0f * step;
+        w = error < most ? error : most;
+        e->rest[i] = w > -most ? w : -most;
+        /* In the lasting sums an event that was noise has less weight. */
+        k = error / k;
+        k = 1.0f / (1.0f + k * k);
+        wg = k * g;
+        wh = k * h;
+        e->l11[i] = wg * g;
+        e->l12[i] = wg * h;
+        e->l22[i] = wh * h;
+        e->m1[i] = wg * y;
+        e->m2[i] = wh * y;
+        e->zz[i] = k * y * y;
+        e->weight[i] = k;
+        e->wg[i] = wg;
+        e->wh[i] = wh;
+        e->wy[i] = k * y;
+        e->fade[i] = fade;
+        e->slow[i] = slow;
+    }
 }
 
 /* Intensities of m <= PDAVIS_PIXELS pixels, and errors of AoP, DoLP and q across its
@@ -74,6 +193,7 @@ PDAVIS_INLINE void turning_block(
     int k;
     for (i = 0; i < m; i++) {
         const float *restrict word = &cell[i].s1;
+        PDAVIS_PREFETCH(&cell[i + PDAVIS_PIXELS]);
         age[i] = larger((float)(now->t - cell[i].t), 0.0f);
         for (k = 0; k < FIELDS; k++)
             f[k][i] = word[k];

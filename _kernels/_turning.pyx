@@ -7,155 +7,96 @@ holds the sums of its normal equations: those of q, which fade, and those of q w
 both thresholds, which stay.
 """
 from libc.stdint cimport int64_t, uint8_t
+from libc.string cimport memset
 
-from _kernels._math cimport exp_f
 from _kernels._types cimport event_t
-
-cdef extern from "<math.h>" nogil:
-    float sqrtf(float)
-    double floor(double)
-
-cdef extern from "_scenes.h" nogil:
-    void sincos_d "scene_sincos"(double, double*, double*)
 
 cdef extern from "_prefetch.h" nogil:
     const Py_ssize_t AHEAD "PDAVIS_AHEAD"
     void prefetch_all "PDAVIS_PREFETCH_ALL"(const void*, size_t)
 
 cdef extern from "_turning.h" nogil:
-    const float LEAST_DET, ROW_FLOOR, WIDE
+    const int EVENTS "PDAVIS_EVENTS"
     ctypedef struct cell_t "turning_cell_t":
         double t
         float s1, s2, on, off, sign, rest, a11, a12, a22, b1, b2, yy, n, scale
         float c, s, l11, l12, l22, m1, m2, zz, n1, g1, h1, y1, n0, g0, h0, y0
+    ctypedef double* doubles "double *"
+    ctypedef float* floats "float *"
+    ctypedef struct rows_t "turning_rows_t":
+        doubles half
+        floats dt, c, s, c0, s0, root, sign, same
+        floats fade, slow, rest, s1, s2, a11, a12, a22, b1, b2, yy
+        floats l11, l12, l22, m1, m2, zz, wg, wh, wy, weight
     ctypedef struct reading_t "turning_read_t":
         double t
         float half_us, decay, late, common
-    float solve "turning_solve"(float, float, float, float, float, float*, float*)
+    void circle "turning_circle"(double, float*, float*)
+    void turning_rows(rows_t*, float, float)
     void turning_row(const reading_t*, const cell_t*, const float*, Py_ssize_t, float*,
                      float*, float*, float*, float*, float*, float*, unsigned char*)
 
 cdef extern from *:
     """
     #define TWO_PI 6.283185307179586
-    #define QUARTER 0.25f       /* a literal is a double to Cython */
-    #define DARKEST 0.02f       /* of 1 + q: least intensity in a weight, relative */
-    #define FEW 0.8f            /* most that an event fades those before it: where fewer
-                                   than some five come in a window, it is longer */
-    #define GUESS 0.0256f       /* weight of a row of the middle of a gap: its level is
-                                   known to 0.25 thresholds, an event's to 0.04 */
     #define MOST_ROWS 1024.0f   /* rows of the lasting sums, which then stay */
     #define RATIO 2             /* of the time constants of `rest` and of q */
-    #define OUTLIER 0.25f       /* residual that halves a row's weight, thresholds */
     """
     const double TWO_PI
     const int RATIO
-    const float FEW, QUARTER, DARKEST, GUESS, MOST_ROWS, OUTLIER
+    const float MOST_ROWS
 
 
-cdef inline float seen(float q1, float q2, float c, float s) noexcept nogil:
-    """Return the intensity in units of S0/2, at least DARKEST."""
-    cdef float light = 1 + q1 * c + q2 * s
-    return light if light > DARKEST else DARKEST
+cdef inline void put(rows_t* rows, int i, const cell_t* cell, double t, double rate,
+                     float c, float s, bint up) noexcept nogil:
+    """Take what the rows of an event depend on."""
+    rows.half[i] = (t - cell.t) * rate
+    rows.dt[i] = <float>(t - cell.t)
+    rows.c[i] = c
+    rows.s[i] = s
+    rows.c0[i] = cell.c
+    rows.s0[i] = cell.s
+    rows.root[i] = cell.on if up else cell.off
+    rows.sign[i] = 1 if up else -1
+    rows.same[i] = rows.sign[i] == cell.sign
+    rows.a11[i] = cell.a11
+    rows.a12[i] = cell.a12
+    rows.a22[i] = cell.a22
+    rows.b1[i] = cell.b1
+    rows.b2[i] = cell.b2
 
 
-cdef inline void circle(double angle, float* cosine, float* sine) noexcept nogil:
-    cdef double c, s
-    sincos_d(angle - TWO_PI * floor(angle * (1 / TWO_PI)), &s, &c)
-    cosine[0] = <float>c
-    sine[0] = <float>s
-
-
-cdef inline void fade(cell_t* cell, float by) noexcept nogil:
-    cell.a11 *= by
-    cell.a12 *= by
-    cell.a22 *= by
-    cell.b1 *= by
-    cell.b2 *= by
-    cell.yy *= by
-    cell.n *= by
-    cell.s1 *= by
-    cell.s2 *= by
-
-
-cdef inline void add(cell_t* cell, float g, float h, float y, float weight,
-                     float rows) noexcept nogil:
-    cdef float wg = weight * g, wh = weight * h
-    cell.a11 += wg * g
-    cell.a12 += wg * h
-    cell.a22 += wh * h
-    cell.b1 += wg * y
-    cell.b2 += wh * y
-    cell.yy += weight * y * y
-    cell.n += rows
-
-
-cdef inline void keep(cell_t* cell, float g, float h, float y, float rest,
-                      bint up) noexcept nogil:
-    """Add a row to the lasting sums, with less weight if an event was noise."""
-    cdef float weight = 1 / (1 + rest * rest)
-    cdef float wg = weight * g, wh = weight * h, wy = weight * y
-    cell.l11 += wg * g
-    cell.l12 += wg * h
-    cell.l22 += wh * h
-    cell.m1 += wg * y
-    cell.m2 += wh * y
-    cell.zz += wy * y
-    if up:
-        cell.n1 += weight
-        cell.g1 += wg
-        cell.h1 += wh
-        cell.y1 += wy
-    else:
-        cell.n0 += weight
-        cell.g0 += wg
-        cell.h0 += wh
-        cell.y0 += wy
-
-
-cdef inline void take(cell_t* cell, double t, float c, float s, bint up, double rate,
-                      float per_tau, float share) noexcept nogil:
+cdef inline void add(cell_t* cell, const rows_t* rows, int i) noexcept nogil:
     """Add the rows of an event that has a predecessor."""
-    cdef float dt = <float>(t - cell.t), slow = exp_f(dt * per_tau)
-    cdef float fast = slow * slow       # to the power RATIO
-    cdef float sign = 1 if up else -1
-    cdef float root = cell.on if up else cell.off, inverse = 1 / root
-    cdef float ridge, q1, q2, here, before, g, h, y, cm, sm, rest, step, e
-    fade(cell, fast if fast > FEW else FEW)
-    ridge = root - inverse      # about the threshold
-    y = sign * ridge
-    ridge *= ROW_FLOOR / WIDE
-    ridge *= ridge
-    solve(cell.a11 + ridge, cell.a12, cell.a22 + ridge, cell.b1, cell.b2, &q1, &q2)
-    here = seen(q1, q2, c, s)
-    before = seen(q1, q2, cell.c, cell.s)
-    # The middle of the gap: half the step, none where the polarity reversed.
-    circle(0.5 * rate * (t - cell.t), &cm, &sm)
-    g = cell.c * cm - cell.s * sm
-    h = cell.s * cm + cell.c * sm
-    e = 1 / (before * seen(q1, q2, g, h))
-    if sign == cell.sign:
-        rest = QUARTER * y     # of ln I to each side of it
-        add(cell, g - cell.c - rest * (g + cell.c), h - cell.s - rest * (h + cell.s),
-            2 * rest, e * GUESS * share, 0)
+    cdef float by = rows.fade[i]
+    cell.s1 = cell.s1 * by + rows.s1[i]
+    cell.s2 = cell.s2 * by + rows.s2[i]
+    cell.a11 = cell.a11 * by + rows.a11[i]
+    cell.a12 = cell.a12 * by + rows.a12[i]
+    cell.a22 = cell.a22 * by + rows.a22[i]
+    cell.b1 = cell.b1 * by + rows.b1[i]
+    cell.b2 = cell.b2 * by + rows.b2[i]
+    cell.yy = cell.yy * by + rows.yy[i]
+    cell.n = cell.n * by + 1
+    cell.rest = cell.rest * rows.slow[i] + rows.rest[i]
+    if cell.n1 + cell.n0 >= MOST_ROWS:
+        return
+    cell.l11 += rows.l11[i]
+    cell.l12 += rows.l12[i]
+    cell.l22 += rows.l22[i]
+    cell.m1 += rows.m1[i]
+    cell.m2 += rows.m2[i]
+    cell.zz += rows.zz[i]
+    if rows.sign[i] > 0:
+        cell.n1 += rows.weight[i]
+        cell.g1 += rows.wg[i]
+        cell.h1 += rows.wh[i]
+        cell.y1 += rows.wy[i]
     else:
-        add(cell, g - cell.c, h - cell.s, 0, e * GUESS * share, 0)
-    # The event itself, as exp(-ln step / 2) I - exp(ln step / 2) I before.
-    e = 1 / sqrtf(here * before)
-    if not up:
-        root, inverse = inverse, root
-    g = (c * inverse - cell.c * root) * e
-    h = (s * inverse - cell.s * root) * e
-    rest = y
-    step = y if up else -y
-    y *= e
-    add(cell, g, h, y, 1, 1)
-    e = y - g * q1 - h * q2
-    cell.s1 += g * e
-    cell.s2 += h * e
-    cell.rest = cell.rest * slow + max(min(e, 2 * step), -2 * step)
-    if cell.n1 + cell.n0 < MOST_ROWS:
-        keep(cell, g, h, y, e / (OUTLIER * rest), up)
+        cell.n0 += rows.weight[i]
+        cell.g0 += rows.wg[i]
+        cell.h0 += rows.wh[i]
+        cell.y0 += rows.wy[i]
 
 
 def turning_events(const event_t[::1] events not None, int64_t last,
@@ -169,40 +110,65 @@ def turning_events(const event_t[::1] events not None, int64_t last,
     outside cells, or before its predecessor (the first: before last).
     """
     cdef Py_ssize_t n = events.shape[0], h = cells.shape[0], w = cells.shape[1]
-    cdef Py_ssize_t i, y, x, k = 0, m = segments.shape[0]
-    cdef int64_t t, at = 0
+    cdef Py_ssize_t i = 0, y, x, k = 0, m = segments.shape[0], at
+    cdef int64_t t, now = 0
     cdef double rate = 0
     cdef float c = 1, s = 0
     cdef float per_tau = -1 / (RATIO * tau)
+    cdef int j, count, other
+    cdef bint again
     cdef cell_t* cell
+    cdef rows_t rows
+    cdef Py_ssize_t[EVENTS] places
     if m < 1 or segments.shape[1] != 3:
         raise ValueError("turning_events: segments must be (m, 3), m at least 1")
+    memset(&rows, 0, sizeof(rows))
     with nogil:
-        for i in range(n):
-            t = events[i].t
-            y = events[i].y
-            x = events[i].x
-            if y >= h or x >= w or events[i].p > 1 or t < last:
-                break
-            last = t
-            if (i + AHEAD < n and events[i + AHEAD].y < h
-                    and events[i + AHEAD].x < w):
-                prefetch_all(&cells[events[i + AHEAD].y, events[i + AHEAD].x], 128)
-            if i == 0 or t != at:
-                at = t
-                while k + 1 < m and segments[k + 1, 0] <= t:
-                    k += 1
-                rate = segments[k, 2]
-                circle(segments[k, 1] + rate * (t - segments[k, 0]), &c, &s)
-            cell = &cells[y, x]
-            if cell.sign != 0:
-                take(cell, t, c, s, events[i].p == 1, rate, per_tau, share)
-            cell.t = t
-            cell.c = c
-            cell.s = s
-            cell.sign = 1 if events[i].p == 1 else -1
-        else:
-            i = n
+        while i < n:
+            # Events of as many pixels: another one of the same pixel waits.
+            for j in range(EVENTS):
+                places[j] = -1
+            count = 0
+            while count < EVENTS and i + count < n:
+                j = count
+                t = events[i + j].t
+                y = events[i + j].y
+                x = events[i + j].x
+                if y >= h or x >= w or events[i + j].p > 1 or t < last:
+                    n = i + j
+                    break
+                at = y * w + x
+                again = False
+                for other in range(EVENTS):
+                    again |= places[other] == at
+                if again:
+                    break
+                places[j] = at
+                last = t
+                if (i + j + AHEAD < n and events[i + j + AHEAD].y < h
+                        and events[i + j + AHEAD].x < w):
+                    prefetch_all(
+                        &cells[events[i + j + AHEAD].y, events[i + j + AHEAD].x], 128)
+                if i + j == 0 or t != now:
+                    now = t
+                    while k + 1 < m and segments[k + 1, 0] <= t:
+                        k += 1
+                    rate = segments[k, 2]
+                    circle((segments[k, 1] + rate * (t - segments[k, 0])) / TWO_PI,
+                           &c, &s)
+                put(&rows, j, &cells[y, x], t, rate * (0.5 / TWO_PI), c, s,
+                    events[i + j].p == 1)
+                count += 1
+            turning_rows(&rows, per_tau, share)
+            for j in range(count):
+                cell = &cells[0, 0] + places[j]
+                if cell.sign != 0:
+                    add(cell, &rows, j)
+                cell.t = events[i + j].t
+                cell.c = rows.c[j]
+                cell.s = rows.s[j]
+                cell.sign = rows.sign[j]
+            i += count
     return i
 
 

@@ -246,6 +246,22 @@ def test_images_match_the_reference(still, later_us):
         assert sigmas[1] == pytest.approx(along, rel=0.06)   # atanh is a short series
 
 
+def test_events_taken_together_are_those_taken_one_by_one():
+    rng = np.random.default_rng(1001)
+    events = np.zeros(300, EVENT_DTYPE)
+    events["t"] = np.sort(rng.integers(0, 300_000, 300))
+    events["x"], events["p"] = rng.integers(0, 20, 300), rng.integers(0, 2, 300)
+    cells = []
+    for size in (300, 7, 1):
+        one = TurningRegression(
+            (1, 20), theta_on=0.2, theta_off=0.3, learn=False,
+            segments=TurningAnalyser(rpm=600).segments())
+        for at in range(0, 300, size):
+            one.add_events(events[at:at + size])
+        cells.append(one._cells.tobytes())
+    assert cells[0] == cells[1] == cells[2]
+
+
 def test_the_kernel_stops_at_the_first_bad_event(still):
     method = regression(still, learn=False)
     cells = method._cells

@@ -187,12 +187,14 @@ class TurningRegression:
         self._looks += 1
         known = self.common_sigma <= _COMMON or self._sigma < _FIRST_SPREAD
         seen = self._cells["n1"] + self._cells["n0"] >= _LEAST_LEARNT
-        cells = self._cells[seen]
+        # NumPy would copy fields one by one.
+        whole = self._cells.view(f"V{_CELL.itemsize}")
+        cells = whole[seen].view(_CELL)
         learned, told = _learned(cells, self._log_theta[:, seen], self._mean,
                                  _OWN_SPREAD if known else _FIRST_SPREAD)
         self._log_theta[:, seen] = learned
         cells["on"], cells["off"] = _exp(_exp(learned) / 2)
-        self._cells[seen] = cells
+        whole[seen] = cells.view(whole.dtype)
         on, off = learned
         size, ratio = self._mean.mean(), None
         if np.count_nonzero(told) >= _STILL_PIXELS:
