@@ -100,6 +100,30 @@ cdef inline Py_ssize_t field_at(const uint8_t* data, Py_ssize_t size,
     return table + relative
 
 
+cdef enum:
+    ROOT = 4        # of a buffer that its size precedes
+
+
+def aedat4_vector(const uint8_t[::1] data not None, int field, Py_ssize_t item):
+    """Return where the items of a vector in the root table lie, and their number.
+
+    Where it has none both are 0; the place is -1 if they lie outside data.
+    """
+    cdef Py_ssize_t size = data.shape[0], at = -1
+    cdef uint32_t step, count = 0
+    if size >= ROOT + 4 and field >= 0 and item > 0:
+        at = field_at(&data[0], size, ROOT, field, 4)
+    if at <= 0:
+        return at, 0
+    memcpy(&step, &data[at], 4)
+    at += step
+    if at > size - 4:
+        return -1, 0
+    memcpy(&count, &data[at], 4)
+    at += 4
+    return at if count <= (size - at) // item else -1, count
+
+
 def aedat4_table_fields(const uint8_t[::1] data not None, Py_ssize_t at, int field,
                         uint8_t[:, :, ::1] out not None):
     """Read fields from field on of the tables whose offsets lie at byte at.

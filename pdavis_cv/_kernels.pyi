@@ -27,6 +27,9 @@ def aedat4_events(
     data: bytes | memoryview | _U8, at: int, n: int, height: int, width: int,
     flip: bool, first: int, last: int, state: _I64, out: NDArray[Any],
 ) -> None: ...
+def aedat4_vector(
+    data: bytes | memoryview, field: int, item: int,
+) -> tuple[int, int]: ...
 def cells(samples: _U8, size: int, width: int) -> tuple[list[int], list[int]]: ...
 def davis_words(
     words: NDArray[np.uint16], begin: int, turned: bool, height: int, width: int,

@@ -30,6 +30,42 @@ def pack_aedat4_events(events):
     return raw.tobytes()
 
 
+def aedat4_flatbuffer(identifier, events):
+    """Return events as a size-prefixed FlatBuffer: vtable at 14, table at 20."""
+    return struct.pack(
+        "<II4s2xHHHiII", 28 + 16 * len(events), 16, identifier, 6, 8, 4, 6, 4,
+        len(events)) + pack_aedat4_events(events)
+
+
+def aedat4_field(data, field, width):
+    """Return where a field of the root table is, 0 by default, -1 outside."""
+    def number(form, at):
+        if at < 0:
+            raise struct.error
+        return struct.unpack_from(form, data, at)[0]
+
+    try:
+        table = 4 + number("<I", 4)
+        vtable = table - number("<i", table)
+        length, _ = number("<H", vtable), number("<H", vtable + 2)
+        step = number("<H", vtable + 4 + 2 * field) if 6 + 2 * field <= length else 0
+    except struct.error:
+        return -1
+    return 0 if not step else table + step if table + step + width <= len(data) else -1
+
+
+def aedat4_vector(data, field, item):
+    """Return where the items of a vector lie, -1 outside, and their number."""
+    at = aedat4_field(data, field, 4)
+    if at <= 0:
+        return at, 0
+    at += struct.unpack_from("<I", data, at)[0]
+    if at + 4 > len(data):
+        return -1, 0
+    count = struct.unpack_from("<I", data, at)[0]
+    return at + 4 if at + 4 + item * count <= len(data) else -1, count
+
+
 def pack_aedat2_events(events, origin, height, width):
     """Return AEDAT-2.0 words as an array (N, 8) of bytes."""
     words = np.empty((len(events), 2), ">u4")

@@ -154,6 +154,32 @@ def test_tables_that_point_anywhere_are_refused():
             assert _kernels.aedat4_table_fields(data, 0, 1, out) <= 4
 
 
+@pytest.mark.parametrize("n", [0, 1, 700])
+def test_events_of_a_flatbuffer_are_found(n):
+    events = random_events(n, SIZE, seed=n)
+    data = reference_files.aedat4_flatbuffer(b"EVTS", events)
+    at, count = _kernels.aedat4_vector(data, 0, 16)
+    assert (count, data[at:]) == (n, reference_files.pack_aedat4_events(events))
+    assert _kernels.aedat4_vector(data, 1, 16) == (0, 0)      # it has its default
+
+
+def test_vectors_of_any_flatbuffer_equal_their_twin():
+    rng = np.random.default_rng(1003)
+    data = reference_files.aedat4_flatbuffer(b"EVTS", random_events(3, SIZE, seed=1))
+    others = [data[:cut] for cut in range(len(data))]
+    for _ in range(5000):
+        other = bytearray(data)
+        for place in rng.integers(4, 32, 3):
+            other[place] = rng.choice((0, 1, 2, 4, 6, 64, 127, 128, 255))
+        others.append(bytes(other))
+    for other in (data, *others):
+        for field, size in ((0, 16), (0, 1), (1, 4)):
+            assert _kernels.aedat4_vector(other, field, size) == (
+                reference_files.aedat4_vector(other, field, size))
+    assert _kernels.aedat4_vector(data, -1, 1) == (-1, 0)
+    assert _kernels.aedat4_vector(data, 0, 0) == (-1, 0)
+
+
 def test_any_words_decode_without_harm():
     rng = np.random.default_rng(1)
     for _ in range(30):

@@ -38,7 +38,7 @@ from pdavis_cv.recording.aedat4.container import (
     decompressed,
     parsed_header,
 )
-from pdavis_cv.recording.aedat4.flatbuffer import PayloadError, root_table
+from pdavis_cv.recording.aedat4.flatbuffer import PayloadError, Table
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.options import MAX_SIDE
@@ -195,17 +195,14 @@ class DvSource(LiveSource):
         self, kind: str, payload: memoryview, compression: str
     ) -> Iterator[Packet]:
         try:
+            # Events without compression are decoded from where they were received.
+            table = Table(
+                payload if (kind, compression) == ("EVTS", "none") else
+                decompressed(payload, compression, self._budget), kind.encode())
             if kind == "EVTS":
-                # Without compression they are decoded from where they were received.
-                events = (payload if compression == "none"
-                          else decompressed(payload, compression, self._budget))
-                yield from self._of_events(
-                    events, *samples.event_vector(root_table(events, b"EVTS")))
-                return
-            data = decompressed(payload, compression, self._budget)
-            table = root_table(data, kind.encode())
-            if kind == "FRME":
-                self._held.append(self._frame(data, table))
+                yield from self._of_events(table.data, *table.vector(0, samples.EVENT))
+            elif kind == "FRME":
+                self._held.append(self._frame(table))
                 while len(self._held) > 1 and MOST_BYTES < 4 * sum(
                         math.prod(frame.shape) for frame in self._held):
                     self._held.popleft()
@@ -214,10 +211,10 @@ class DvSource(LiveSource):
                 if self.info.event_count == 0:
                     yield from self._released(None)
             elif kind == "IMUS":
-                yield from pieces(Packet(imu=_sorted(samples.imu_samples(data, table))))
+                yield from pieces(Packet(imu=_sorted(samples.imu_samples(table))))
             elif kind == "TRIG":
                 yield from pieces(
-                    Packet(triggers=_sorted(samples.triggers(data, table))))
+                    Packet(triggers=_sorted(samples.triggers(table))))
         except PayloadError as error:
             self._log.add("damage", None, f"a packet could not be read: {error}")
         except RecordingError as error:     # a limit is passed, or a package missing
@@ -243,8 +240,8 @@ class DvSource(LiveSource):
         if len(events):
             yield from self._with_frames(events)
 
-    def _frame(self, data: bytes, table: Any) -> ApsFrame:
-        raw = samples.raw_frame(data, table)
+    def _frame(self, table: Table) -> ApsFrame:
+        raw = samples.raw_frame(table)
         if self._scale is None or self._scale.itemsize != raw.pixels.dtype.itemsize:
             self._scale = samples.scale_of(raw.pixels)
         times = samples.exposure_times(raw.times)

@@ -39,13 +39,14 @@ class FileReader:
         """Return size bytes from offset on; fewer only at the end of the file."""
         if not self._close.alive:
             raise ValueError(f"{self.path.name}: recording is closed")
+        size, data = min(size, self.size - offset), b""
         if offset < 0 or size <= 0:
             return b""
-        size, data = min(size, self.size - offset), b""
         try:
+            data = self._pread(size, offset)
             while len(data) < size and (
                     part := self._pread(size - len(data), offset + len(data))):
-                data = data + part if data else part
+                data += part
         except OSError as error:
             raise self._unreadable(offset + len(data), error) from error
         return data

@@ -28,7 +28,7 @@ from pdavis_cv.recording.limits import Budget
 END_OF_TIME = 1 << 62
 _PIXEL = 5
 """Bytes of a frame's pixel: its DN, and whether it is valid."""
-_MOST_KEPT = 16
+_MOST_KEPT = 32
 """A packet that keeps more than so many times its own memory is copied."""
 
 

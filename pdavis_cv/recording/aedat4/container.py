@@ -8,21 +8,17 @@ from __future__ import annotations
 import contextlib
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
-from xml.parsers import expat
+from xml.etree import ElementTree
 
-import lz4.frame
 import numpy as np
+from lz4.frame import create_decompression_context, decompress_chunk
 
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.aedat4 import samples
-from pdavis_cv.recording.aedat4.flatbuffer import (
-    PayloadError,
-    Table,
-    root_table,
-    table_fields,
-)
+from pdavis_cv.recording.aedat4.flatbuffer import PayloadError, Table
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.files import ProblemLog, clock_text
 from pdavis_cv.recording.limits import Budget
@@ -45,13 +41,14 @@ _HEAD = 24
 """Bytes that identify a packet: its header, and the beginning of its payload."""
 
 
-class Entry(NamedTuple):
-    """The location of a packet; elements and times are None without an index."""
+@dataclass(slots=True, eq=False)
+class Entry:
+    """The location of a packet; count and times are None without an index."""
 
     stream: int
     offset: int
     size: int
-    elements: int | None = None
+    count: int | None = None
     start_us: int | None = None
     stop_us: int | None = None
 
@@ -159,9 +156,7 @@ class Aedat4File:
         """Use an index; return False if it lacks counts and times."""
         if payload[8:12] != b"FTAB":  # DV compresses it, jAER does not
             payload = decompressed(payload, self.compression, self.budget)
-        table = root_table(payload, b"FTAB")
-        at, count = table.vector(0, 4)
-        rows = sorted(table_fields(payload, at, count, 0, np.int64, 5).tolist())
+        rows = sorted(Table(payload, b"FTAB").rows(0, np.int64, 5).tolist())
         if rows and not any(map(any, (row[2:] for row in rows))):
             return False  # some writers fill in the places only
         end = self.data_start
@@ -213,8 +208,7 @@ class Aedat4File:
                 self.log.damage(
                     at, f"byte {at}: a packet that should end at byte {after} "
                     f"ends at {inside}", offset=at)
-                entry = entry._replace(size=max(inside - entry.offset, 0))
-                after = inside
+                entry.size, after = max(inside - entry.offset, 0), inside
             following = self._plausible(after, limit)
             yield entry
             at, entry = after, following
@@ -244,7 +238,8 @@ class Aedat4File:
         if head[:4] not in (_LZ4_MAGIC, _ZSTD_MAGIC):
             return False
         with contextlib.suppress(PayloadError):
-            return _begin(self.reader.read(at, _BLOCK), self.compression)[8:] == b"FTAB"
+            return _unpacked(
+                self.reader.read(at, _BLOCK), self.compression, 12)[8:] == b"FTAB"
         return False
 
     def _begins(self, limit: int, base: int, block: bytes) -> Iterator[int]:
@@ -260,8 +255,8 @@ class Aedat4File:
             if at >= 0 and self._plausible(base + at, limit, block[at:at + _HEAD]):
                 yield at
 
-    def table(self, entry: Entry) -> tuple[bytes, Table]:
-        """Return the FlatBuffer of a packet and its root table.
+    def table(self, entry: Entry) -> Table:
+        """Return the FlatBuffer of a packet.
 
         Raises
         ------
@@ -275,11 +270,11 @@ class Aedat4File:
             return self._moved(entry)
         return self._decoded(entry.stream, raw)
 
-    def _decoded(self, stream: int, raw: bytes) -> tuple[bytes, Table]:
-        data = decompressed(memoryview(raw)[8:], self.compression, self.budget)
-        return data, root_table(data, self.streams[stream].kind.encode())
+    def _decoded(self, stream: int, raw: bytes) -> Table:
+        return Table(decompressed(memoryview(raw)[8:], self.compression, self.budget),
+                     self.streams[stream].kind.encode())
 
-    def _moved(self, entry: Entry) -> tuple[bytes, Table]:
+    def _moved(self, entry: Entry) -> Table:
         """Search for a packet near its position in the index.
 
         Damage that removes bytes at one position and adds them at another moves the
@@ -288,9 +283,9 @@ class Aedat4File:
         wanted = entry.offset - 8
         for at in self._places(entry, wanted):
             try:
-                data, table = self._decoded(
+                table = self._decoded(
                     entry.stream, self.reader.read(at, entry.size + 8))
-                times = samples.span(self.streams[entry.stream].kind, data, table)
+                times = samples.span(self.streams[entry.stream].kind, table)
             except PayloadError:
                 continue
             if times == (entry.start_us, entry.stop_us):
@@ -298,7 +293,7 @@ class Aedat4File:
                     wanted, f"byte {wanted}: the packet that the index places here is "
                     f"at byte {at}", offset=wanted)
                 self._shift = at - wanted
-                return data, table
+                return table
         self._nowhere.add(wanted)
         raise PayloadError("its header is not what the index says")
 
@@ -341,9 +336,8 @@ def parsed_header(data: bytes) -> tuple[str, int, dict[int, Stream]]:
         If it is damaged; the message describes the damage.
     """
     try:
-        table = root_table(data, b"IOHE")
-        code = table.scalar(0, "i")
-        position = table.scalar(1, "q", -1)
+        table = Table(data, b"IOHE")
+        [code], [position] = table.fields(0, np.int32), table.fields(1, np.int64)
         text = table.text(2)
     except PayloadError as error:
         raise ValueError(f"the header is damaged: {error}") from error
@@ -351,9 +345,9 @@ def parsed_header(data: bytes) -> tuple[str, int, dict[int, Stream]]:
         raise ValueError(f"unknown compression {code}")
     try:
         streams = {s.number: s for s in _streams(text)}
-    except (expat.ExpatError, ValueError) as error:
+    except (ElementTree.ParseError, ValueError) as error:
         raise ValueError(f"the header's XML is damaged: {error}") from error
-    return COMPRESSIONS[code], position, streams
+    return COMPRESSIONS[code], position or -1, streams
 
 
 def decompressed(payload: bytes | memoryview, compression: str, budget: Budget
@@ -377,35 +371,30 @@ def decompressed(payload: bytes | memoryview, compression: str, budget: Budget
     if compression == "none":
         return bytes(payload)
     most = budget.most(len(payload))
-    data = (_unpack_zstd(bytes(payload), most) if compression.startswith("ZSTD")
-            else _unpack_lz4(payload, most))
+    data = _unpacked(payload, compression, most)
     if len(data) >= most:
         budget.piece(_declared(data), "a packet", len(payload))
     return data
 
 
-def _begin(payload: bytes, compression: str) -> bytes:
-    """Return the first 12 bytes of a FlatBuffer, from the beginning of its payload."""
-    if compression.startswith("ZSTD"):
-        return _unpack_zstd(payload, 12)
-    try:
-        begin: bytes = lz4.frame.LZ4FrameDecompressor().decompress(payload, 12)
-    except (RuntimeError, EOFError, MemoryError) as error:
-        raise PayloadError(f"LZ4: {error}") from error
-    return begin
+def _unpacked(payload: bytes | memoryview, compression: str, most: int) -> bytes:
+    return (_unpack_zstd(bytes(payload), most) if compression.startswith("ZSTD") else
+            _unpack_lz4(payload, most))
 
 
 def _unpack_lz4(payload: bytes | memoryview, most: int) -> bytes:
     # LZ4FrameDecompressor copies a memoryview.
-    unpack = lz4.frame.decompress_chunk
-    context = lz4.frame.create_decompression_context()
+    context = create_decompression_context()
     data: bytes
     try:
-        guess = min(max(4 * len(payload), 1 << 16), most)
-        data, used, ended = unpack(context, payload, max_length=guess)
+        data, used, ended = decompress_chunk(
+            context, payload, max_length=min(max(4 * len(payload), 1 << 16), most))
+        if ended:
+            return data
         size = min(_declared(data), most)
-        if size > len(data) and not ended:
-            data += unpack(context, payload[used:], max_length=size - len(data))[0]
+        if size > len(data):
+            data += decompress_chunk(
+                context, payload[used:], max_length=size - len(data))[0]
     except (RuntimeError, EOFError, MemoryError) as error:
         raise PayloadError(f"LZ4: {error}") from error
     if len(data) < size:
@@ -450,36 +439,11 @@ def _find_all(block: bytes, mark: bytes) -> Iterator[int]:
 
 def _streams(text: str) -> Iterator[Stream]:
     """Yield the streams: the nodes, at any depth, whose names are numbers."""
-    found: list[tuple[str, dict[str, str]]] = []
-    around: list[dict[str, str]] = []   # attributes of each node that is open
-    key: str | None = None
-
-    def begin(tag: str, given: dict[str, str]) -> None:
-        nonlocal key
-        key = given.get("key", "") if tag == "attr" else None
-        if tag == "node":
-            around.append({})
-            found.append((given.get("name", ""), around[-1]))
-        elif key is not None:
-            for attributes in around:
-                attributes[key] = ""
-
-    def end(tag: str) -> None:
-        nonlocal key
-        key = None
-        if tag == "node":
-            around.pop()
-
-    def add(data: str) -> None:
-        if key is not None:
-            for attributes in around:
-                attributes[key] += data
-
-    parser = expat.ParserCreate()   # to import ElementTree takes longer than to parse
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
-    parser.CharacterDataHandler = add
-    parser.Parse(text.rstrip("\0"), True)
-    for name, attributes in found:
-        kind = attributes.get("typeIdentifier", "")
-        if name.isdecimal() and len(kind) == 4 and kind.isascii():
-            yield Stream(int(name), kind, attributes, [])
+    for node in ElementTree.fromstring(text.rstrip("\0")).iter("node"):
+        name = node.get("name", "")
+        if name.isdecimal():
+            attributes = {one.get("key", ""): one.text or ""
+                          for one in node.iter("attr")}
+            kind = attributes.get("typeIdentifier", "")
+            if len(kind) == 4 and kind.isascii():
+                yield Stream(int(name), kind, attributes, [])

@@ -36,7 +36,7 @@ FRAMES_UNDER_WAY = 3
 KEPT_BYTES = 1 << 22
 """Packets that were examined ahead are kept up to this size, larger ones read again."""
 
-GROUP, SMALL = 8, 16384
+GROUP, SMALL = 16, 16384
 """So many packets are put in order at a time, if none has more events; they lie between
 multiples of the number, so that findings are those of any other reading."""
 
@@ -98,7 +98,7 @@ class Cursor:
         self._size, self._scale, self._strict = size, scale, strict
         self._jaer, self._memory = jaer, memory
         self._before = NEVER, NEVER
-        self._ahead: dict[int, tuple[bytes, Table]] = {}
+        self._ahead: dict[int, Table] = {}
         self._raw: dict[int, samples.RawFrame] = {}
         self.last = NEVER
         self.begins, self._known = 0, known
@@ -153,7 +153,7 @@ class Cursor:
         packets, entries = [], self._entries
         if self._trusted and not self._strict:
             group = entries[number:number - number % GROUP + GROUP]
-            if all(e.elements <= SMALL for e in group):    # type: ignore[operator]
+            if all(e.count <= SMALL for e in group):    # type: ignore[operator]
                 self.next = number + len(group)
         for i in range(number, self.next):
             try:
@@ -173,17 +173,17 @@ class Cursor:
                          bounds, falls=self.clock.jumps == jumps)
         return got
 
-    def _vector(self, number: int) -> tuple[bytes, int, int]:
+    def _vector(self, number: int) -> tuple[bytes | memoryview, int, int]:
         """Return a packet of events, the place of the first, and their number."""
         entry = self._entries[number]
-        data, table = self._table(entry)
-        at, count = samples.event_vector(table)
-        if entry.elements not in (None, count):
+        table = self._table(entry)
+        at, count = table.vector(0, samples.EVENT)
+        if entry.count not in (None, count):
             begin = entry.offset - 8
             self._file.log.damage(
                 (entry.offset, "count"), f"byte {begin}: a packet of {count} "
-                f"events, {entry.elements} by the index", offset=begin)
-        return data, at, count
+                f"events, {entry.count} by the index", offset=begin)
+        return table.data, at, count
 
     def _refuse(self, entry: Entry, events: NDArray[Any], bounds: tuple[int, int], *,
                 falls: bool) -> None:
@@ -221,17 +221,17 @@ class Cursor:
         if (known := self._times_of(number)) is not None:
             available = samples.exposure_times(known, jaer=self._jaer)[2]
             return np.array([(available, number)], _DTYPES[self.kind])
-        data, table = self._table(entry, keep=keep)
+        table = self._table(entry, keep=keep)
         if self.kind == "EVTS":
-            times = _times(data, *samples.event_vector(table))
+            times = _times(table.data, *table.vector(0, samples.EVENT))
             return np.asarray(times).view([("t", "<i8")])
         if self.kind in ("IMUS", "TRIG"):
             self._file.budget.piece(
                 _SAMPLE * table.vector(0, 4)[1], "a packet of samples")
             return (samples.imu_samples if self.kind == "IMUS" else samples.triggers)(
-                data, table)
+                table)
         try:
-            raw = self._raw[number] = samples.raw_frame(data, table)
+            raw = self._raw[number] = samples.raw_frame(table)
         except samples.UnknownFrameError as error:
             self._file.log.add(
                 "unknown frame", entry.offset, f"{error} is skipped",
@@ -245,10 +245,10 @@ class Cursor:
         return self._known.get(number) if (
             self.kind == "FRME" and number < self.begins) else None
 
-    def _table(self, entry: Entry, *, keep: bool = False) -> tuple[bytes, Table]:
+    def _table(self, entry: Entry, *, keep: bool = False) -> Table:
         """Return a packet, which may have been examined before, or is to be again."""
         found = self._ahead.pop(entry.offset, None) or self._file.table(entry)
-        if keep and len(found[0]) <= KEPT_BYTES:
+        if keep and len(found.data) <= KEPT_BYTES:
             self._ahead[entry.offset] = found
         return found
 
@@ -279,10 +279,10 @@ class Cursor:
         found: list[NDArray[np.int64]] = []
         for entry in self._entries[self.next:self.next + 2 * LOOK_AHEAD]:
             with contextlib.suppress(PayloadError):
-                data, table = self._table(entry, keep=True)
-                at, count = samples.event_vector(table)
+                table = self._table(entry, keep=True)
+                at, count = table.vector(0, samples.EVENT)
                 if count:
-                    found.append(_times(data, at, count))
+                    found.append(_times(table.data, at, count))
             if len(found) == LOOK_AHEAD:
                 break
         return found
@@ -298,7 +298,7 @@ class Cursor:
                 if mid > self._before[0] and t > self._before[1]:
                     self._before = mid, t
                 continue
-            raw = self._raw.get(number) or samples.raw_frame(*self._file.table(entry))
+            raw = self._raw.get(number) or samples.raw_frame(self._file.table(entry))
             self._raw = {k: one for k, one in self._raw.items() if k > number}
             if raw.colour:
                 self._file.log.add(
@@ -359,6 +359,6 @@ class Cursor:
             offset=entry.offset - 8, start_us=entry.start_us, stop_us=entry.stop_us)
 
 
-def _times(data: bytes, at: int, count: int) -> NDArray[np.int64]:
+def _times(data: bytes | memoryview, at: int, count: int) -> NDArray[np.int64]:
     """Return the times in the file of the events of the vector at byte at."""
     return np.ndarray((count,), "<i8", data, at, (16,))

@@ -9,11 +9,9 @@ from numpy.typing import DTypeLike, NDArray
 
 from pdavis_cv import _kernels
 
-_U16 = struct.Struct("<H")
-_U32 = struct.Struct("<I")
-_I32 = struct.Struct("<i")
-_HEAD = struct.Struct("<II4s")
-_SCALARS = {code: struct.Struct("<" + code) for code in "bBhHiIqQf"}
+_HEAD = struct.Struct("<I4x4s")
+_ROOT = 4
+"""Where the offset of the root table lies."""
 
 
 class PayloadError(ValueError):
@@ -21,34 +19,33 @@ class PayloadError(ValueError):
 
 
 class Table:
-    """One table inside a buffer.
+    """The root table of a size-prefixed buffer.
 
     Parameters
     ----------
     data : bytes
-    at : int
-        Offset of the table.
+    identifier : bytes
+        The type that it should have.
+
+    Raises
+    ------
+    PayloadError
+        If the size or the identifier is wrong.
     """
 
-    __slots__ = ("_at", "_data", "_length", "_vtable")
+    __slots__ = ("data",)
 
-    def __init__(self, data: bytes | memoryview, at: int) -> None:
-        self._data, self._at = data, at
-        self._vtable = at - _get(_I32, data, at)
-        self._length = _get(_U16, data, self._vtable)
-
-    def place(self, field: int) -> int:
-        """Return the offset of a field, 0 if it has its default."""
-        slot = 4 + 2 * field
-        if slot + 2 > self._length:
-            return 0
-        relative = _get(_U16, self._data, self._vtable + slot)
-        return self._at + relative if relative else 0
-
-    def scalar(self, field: int, code: str, default: int = 0) -> int:
-        """Return an integer field; code as in `struct`."""
-        at = self.place(field)
-        return _get(_SCALARS[code], self._data, at) if at else default
+    def __init__(self, data: bytes | memoryview, identifier: bytes) -> None:
+        self.data = data
+        try:
+            size, found = _HEAD.unpack_from(data)
+        except struct.error:
+            raise PayloadError(f"it has {len(data)} bytes") from None
+        if size > len(data) - 4:
+            raise PayloadError(
+                f"it should hold {size + 4} bytes, but has {len(data)}")
+        if found != identifier:
+            raise PayloadError(f"it should be {identifier.decode()}, but is {found!r}")
 
     def vector(self, field: int, item: int) -> tuple[int, int]:
         """Return the offset of the items of a vector, and their number.
@@ -59,75 +56,35 @@ class Table:
         item : int
             Bytes per item.
         """
-        at = self.place(field)
-        if not at:
-            return 0, 0
-        at += _get(_U32, self._data, at)
-        count = _get(_U32, self._data, at)
-        if count * item > len(self._data) - at - 4:
+        at, count = _kernels.aedat4_vector(self.data, field, item)
+        if at < 0:
             raise PayloadError(
                 f"a vector of {count} items of {item} bytes does not fit into "
-                f"{len(self._data)} bytes")
-        return at + 4, count
+                f"{len(self.data)} bytes")
+        return at, count
 
     def text(self, field: int) -> str:
         """Return a string field."""
         at, count = self.vector(field, 1)
-        return bytes(self._data[at:at + count]).decode("utf-8", "replace")
+        return bytes(self.data[at:at + count]).decode("utf-8", "replace")
 
+    def fields(self, first: int, dtype: DTypeLike, columns: int = 1) -> list[Any]:
+        """Return fields of the same type, from the first on; 0 is their default."""
+        found: list[Any] = self._fields(_ROOT, 1, first, dtype, columns)[0].tolist()
+        return found
 
-def root_table(data: bytes | memoryview, identifier: bytes) -> Table:
-    """Return the root of a size-prefixed buffer.
+    def rows(self, first: int, dtype: DTypeLike, columns: int = 1) -> NDArray[Any]:
+        """Return such fields of the tables in the vector that is the first field.
 
-    Raises
-    ------
-    PayloadError
-        If the size or the identifier is wrong.
-    """
-    try:
-        size, root, found = _HEAD.unpack_from(data)
-    except struct.error:
-        raise PayloadError(f"it has {len(data)} bytes") from None
-    if size > len(data) - 4:
-        raise PayloadError(f"it should hold {size + 4} bytes, but has {len(data)}")
-    if found != identifier:
-        raise PayloadError(f"it should be {identifier.decode()}, but is {found!r}")
-    return Table(data, 4 + root)
+        Their shape is (number of tables, columns).
+        """
+        return self._fields(*self.vector(0, 4), first, dtype, columns)
 
-
-def table_fields(
-    data: bytes | memoryview, at: int, count: int, field: int, dtype: DTypeLike,
-    columns: int = 1,
-) -> NDArray[Any]:
-    """Return fields of the same type of a vector of tables, shape (count, columns).
-
-    Parameters
-    ----------
-    data : bytes or memoryview
-    at, count : int
-        Offset of the vector's items, and their number; see `Table.vector`.
-    field : int
-        The first of the fields.
-    dtype : dtype
-    columns : int
-        Number of fields.
-
-    Raises
-    ------
-    PayloadError
-        If a table lies outside the buffer.
-    """
-    out = np.zeros((count, columns), dtype)
-    if _kernels.aedat4_table_fields(
-            np.frombuffer(data, np.uint8), at, field,
-            out.view(np.uint8).reshape(count, columns, out.itemsize)) != count:
-        raise PayloadError("a table lies outside its packet")
-    return out
-
-
-def _get(code: struct.Struct, data: bytes | memoryview, at: int) -> int:
-    try:
-        value: int = code.unpack_from(data, at if at >= 0 else len(data))[0]
-    except struct.error:
-        raise PayloadError(f"offset {at} points outside {len(data)} bytes") from None
-    return value
+    def _fields(self, at: int, count: int, first: int, dtype: DTypeLike, columns: int
+                ) -> NDArray[Any]:
+        out = np.zeros((count, columns), dtype)
+        if _kernels.aedat4_table_fields(
+                np.frombuffer(self.data, np.uint8), at, first,
+                out.view(np.uint8).reshape(count, columns, out.itemsize)) != count:
+            raise PayloadError("a table lies outside its packet")
+        return out

@@ -105,7 +105,7 @@ class Aedat4Recording(PiecewiseRecording):
             return samples.TEN_BIT
         for entry in stream.entries[:8] if stream else ():
             try:
-                raw = samples.raw_frame(*self._file.table(entry))
+                raw = samples.raw_frame(self._file.table(entry))
             except PayloadError:
                 continue
             return samples.scale_of(raw.pixels)
@@ -116,7 +116,7 @@ class Aedat4Recording(PiecewiseRecording):
         counts: dict[str, int | None] = {}
         for kind in KINDS:
             entries = streams[kind].entries if kind in streams else []
-            counts[kind] = sum(e.elements or 0 for e in entries) if (
+            counts[kind] = sum(e.count or 0 for e in entries) if (
                 self._file.indexed or not entries) else None
         source = next(iter(streams.values())).source
         start, stop = self._span()
@@ -182,7 +182,7 @@ class Aedat4Recording(PiecewiseRecording):
 
     def _frame_time(self, entry: Entry) -> int | None:
         try:
-            raw = samples.raw_frame(*self._file.table(entry))
+            raw = samples.raw_frame(self._file.table(entry))
         except PayloadError:
             return entry.start_us
         return samples.exposure_times(raw.times, jaer=self._jaer)[2]
@@ -211,7 +211,7 @@ class Aedat4Recording(PiecewiseRecording):
         if not frames:
             if start_us is None:
                 # A damaged index may hold any count; the size of a packet limits it.
-                memory.reserve(sum(min(e.elements or 0, 16 * e.size) for c in cursors
+                memory.reserve(sum(min(e.count or 0, 16 * e.size) for c in cursors
                                    for e in self._streams[c.kind].entries))
             for cursor in cursors:
                 while (got := cursor.pull()) is not None:

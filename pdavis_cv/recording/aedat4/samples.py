@@ -7,9 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.events import FAR
-from pdavis_cv.recording.aedat4.flatbuffer import PayloadError, Table, table_fields
+from pdavis_cv.recording.aedat4.flatbuffer import PayloadError, Table
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, ApsFrame
 
+EVENT = 16
+"""Bytes of an event of EVTS."""
 MAX_EXPOSURE_US = 60_000_000
 """Longest exposure; a longer one is taken as damage."""
 
@@ -68,7 +70,7 @@ class RawFrame(NamedTuple):
     colour: bool = False
 
 
-def raw_frame(data: bytes, table: Table) -> RawFrame:
+def raw_frame(table: Table) -> RawFrame:
     """Return the frame of a FRME table.
 
     Raises
@@ -78,9 +80,9 @@ def raw_frame(data: bytes, table: Table) -> RawFrame:
     UnknownFrameError
         If the pixel type is not 8 or 16 bit unsigned with 1, 3 or 4 channels.
     """
-    t, sof, eof, soe, eoe, exposure = (table.scalar(i, "q") for i in (*range(5), 11))
-    code = table.scalar(5, "b")
-    width, height, x, y = (table.scalar(i, "h") for i in range(6, 10))
+    t, sof, eof, soe, eoe = table.fields(0, np.int64, 5)
+    [exposure], [code] = table.fields(11, np.int64), table.fields(5, np.int8)
+    width, height, x, y = table.fields(6, np.int16, 4)
     at, size = table.vector(10, 1)
     depth, channels = code & 7, (code >> 3) + 1
     if depth not in _PIXELS or channels not in (1, 3, 4):
@@ -91,7 +93,7 @@ def raw_frame(data: bytes, table: Table) -> RawFrame:
         raise PayloadError(
             f"a frame of {width}x{height} at ({x}, {y}) with {channels} channels "
             f"cannot have {size} bytes")
-    pixels = np.frombuffer(data, dtype, width * height * channels, at)
+    pixels = np.frombuffer(table.data, dtype, width * height * channels, at)
     colour = False
     if channels > 1:
         planes = pixels.reshape(height, width, channels)[..., :3]
@@ -181,32 +183,25 @@ def aps_frame(
         valid=None if usable.all() else np.ascontiguousarray(usable))
 
 
-def event_vector(table: Table) -> tuple[int, int]:
-    """Return the offset of the events of an EVTS table, and their number."""
-    return table.vector(0, 16)
-
-
-def imu_samples(data: bytes, table: Table) -> NDArray[Any]:
+def imu_samples(table: Table) -> NDArray[Any]:
     """Return the samples of an IMUS table, shape (N,)."""
-    at, count = table.vector(0, 4)
-    samples = np.zeros(count, IMU_DTYPE)
-    values = table_fields(data, at, count, 1, np.float32, 7)
-    samples["t"] = table_fields(data, at, count, 0, np.int64)[:, 0]
+    values = table.rows(1, np.float32, 7)
+    samples = np.zeros(len(values), IMU_DTYPE)
+    samples["t"] = table.rows(0, np.int64)[:, 0]
     samples["temperature"] = values[:, 0]
     samples["accel"], samples["gyro"] = values[:, 1:4], values[:, 4:7]
     return samples
 
 
-def triggers(data: bytes, table: Table) -> NDArray[Any]:
+def triggers(table: Table) -> NDArray[Any]:
     """Return the samples of a TRIG table, shape (N,)."""
-    at, count = table.vector(0, 4)
-    samples = np.zeros(count, TRIGGER_DTYPE)
-    samples["t"] = table_fields(data, at, count, 0, np.int64)[:, 0]
-    samples["type"] = table_fields(data, at, count, 1, np.uint8)[:, 0]
+    times = table.rows(0, np.int64)[:, 0]
+    samples = np.zeros(len(times), TRIGGER_DTYPE)
+    samples["t"], samples["type"] = times, table.rows(1, np.uint8)[:, 0]
     return samples
 
 
-def span(kind: str, data: bytes, table: Table) -> tuple[int, int] | None:
+def span(kind: str, table: Table) -> tuple[int, int] | None:
     """Return the times of the first and last sample of a packet, as in an index.
 
     None for a packet without samples; for a frame, its timestamp.
@@ -219,13 +214,14 @@ def span(kind: str, data: bytes, table: Table) -> tuple[int, int] | None:
         For a frame whose pixels have an unknown type.
     """
     if kind == "FRME":
-        time = raw_frame(data, table).times[0]
+        time = raw_frame(table).times[0]
         return time, time
     if kind == "EVTS":
-        at, count = event_vector(table)
+        at, count = table.vector(0, EVENT)
         if not count:
             return None
-        return (int.from_bytes(data[at:at + 8], "little", signed=True),
-                int.from_bytes(data[at + 16 * count - 16:][:8], "little", signed=True))
-    got = (imu_samples if kind == "IMUS" else triggers)(data, table)
+        first, last = (int.from_bytes(table.data[i:i + 8], "little", signed=True)
+                       for i in (at, at + EVENT * (count - 1)))
+        return first, last
+    got = (imu_samples if kind == "IMUS" else triggers)(table)
     return (int(got["t"][0]), int(got["t"][-1])) if len(got) else None
