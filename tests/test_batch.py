@@ -169,6 +169,7 @@ def test_score_tells_what_the_command_tells(data_dir, tmp_path, capsys):
     found = next(one for one in told["rows"] if one["method"] == "cf")
     assert row["figures"]["moving rmse"] == pytest.approx(
         found["scores"]["moving"]["rmse"], rel=1e-12)
+    assert 0 < told["camera"]["thresholds_sigma"] < 0.5
 
 
 # ---- what goes wrong -------------------------------------------------------------

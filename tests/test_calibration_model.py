@@ -13,6 +13,7 @@ from pdavis_cv import (
     fuse,
     recording_from_arrays as record,
 )
+from pdavis_cv.pixel.model import PixelModel
 
 SIZE = (4, 6)
 
@@ -24,7 +25,10 @@ def full():
         sensor_size=SIZE, chip="Davis346", serial="00000042", layout=Layout.SONY,
         theta_on=plane, theta_off=plane + 0.1, dark=-plane, dark_noise=plane,
         gain=plane + 1, analyser=rng.normal(size=(*SIZE, 3)), usable=plane > 0.15,
-        clip_dn=900.0, bandwidth_hz=250.0, bandwidth_sigma=0.1,
+        clip_dn=900.0, bandwidth_hz=250.0, bandwidth_sigma=0.1, thresholds_sigma=0.02,
+        clock_offset_us=-3000.0, clock_offset_sigma_us=90.0, black_dn_per_ms=2.5,
+        black_sigma=0.4, model=PixelModel(theta=np.array([0.25, 0.2]), dead_s=1e-4,
+                                          by_class=rng.normal(size=(2, 5))),
         notes={"wavelength_nm": 500})
 
 
@@ -50,6 +54,20 @@ def test_a_file_of_an_earlier_version_has_no_uncertainty_of_the_bandwidth(tmp_pa
     other = Calibration.load(path)
     assert other.bandwidth_sigma is None
     assert other.bandwidth_hz == 250.0
+
+
+@pytest.mark.parametrize(("name", "value"), [
+    ("theta", [0.2]), ("noise", [1.0, float("nan"), 2.0]), ("theta", None),
+    ("rest_s", "long")])
+def test_a_damaged_model_is_refused(tmp_path, name, value):
+    path = full().save(tmp_path / "camera.npz")
+    with np.load(path) as data:
+        arrays = dict(data)
+    head = json.loads(str(arrays.pop("head")))
+    head["model"][name] = value
+    np.savez(path, head=np.array(json.dumps(head)), **arrays)
+    with pytest.raises(CalibrationError, match="damaged"):
+        Calibration.load(path)
 
 
 def test_arrays_are_copies_and_read_only():

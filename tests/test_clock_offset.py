@@ -1,5 +1,7 @@
 """Frames whose stamps are off: found, told from a lag, moved, said."""
+import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -177,7 +179,12 @@ def test_info_warns(early, tmp_path, capsys):
     path = tmp_path / "early.aedat4"
     pdavis_cv.write_aedat4(path, early[0])
     assert info.main([str(path), "--scan"]) == 0
-    assert "ms early by the clock of the events" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "ms early by the clock of the events" in text
+    assert re.search(r"thresholds  ON 0\.\d+, OFF 0\.\d+ \+- .* % \(measured\)", text)
+    assert info.main([str(path), "--scan", "--json"]) == 0
+    camera = json.loads(capsys.readouterr().out)["camera"]
+    assert camera["clock_offset_us"] > 3 * camera["clock_offset_sigma_us"]
     right, _ = recorded(RotatingPolarizer(rpm=202.6, start_angle=0.4), seconds=1.5)
     pdavis_cv.write_aedat4(path, right)
     assert info.main([str(path), "--scan"]) == 0

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from truth_errors import errors_of
 
-from pdavis_cv import ApsFrame, _kernels, fuse
+from pdavis_cv import ApsFrame, Calibration, _kernels, fuse
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.export.files import write_json
 from pdavis_cv.pixel.frame_noise import learned_frame_noise
 from pdavis_cv.pixel.learn import LearnedPixels, Priors, learn
 from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.pixel.sample import PAST_DTYPE, PixelSample
-from pdavis_cv.simulation import Camera, RotatingPolarizer
+from pdavis_cv.simulation import Camera, FlatLight, RotatingPolarizer
 
 pytestmark = pytest.mark.accuracy
 
@@ -261,6 +261,36 @@ def test_a_stated_clock_offset_is_that_of_the_images():
     recording, _ = of(1007).record(RotatingPolarizer(rpm=200), 1.0)
     image = next(iter(fuse(recording, method="kalman", clock_offset_us=-3000)))
     assert image.provenance["clock_offset_us"] == -3000
+
+
+def test_what_was_learned_of_a_camera_is_where_the_next_recording_starts(tmp_path):
+    """Images of its first half second, of slower and weaker light."""
+    first, _ = of(1008).record(RotatingPolarizer(rpm=200), 2.0)
+    images = fuse(first, method="kalman")
+    clip = Calibration(sensor_size=SIZE, clip_dn=1000.0)
+    assert fuse(first, method="kalman", calibration=clip).camera.clip_dn == 1000
+    camera = Calibration.load(images.camera.save(tmp_path / "camera.npz"))
+    assert abs(camera.clock_offset_us + 3000) < 3 * camera.clock_offset_sigma_us
+    assert float(camera.theta_off.mean()) == pytest.approx(0.27, rel=0.06)
+    other, truth = of(1008).record(RotatingPolarizer(rpm=90, dolp=0.4), 0.8)
+    times = 250_000 + 10_000 * np.arange(25)
+    errors = []
+    for calibration in (None, camera):
+        fusion = fuse(other, method="kalman", causal=True, times_us=times,
+                      calibration=calibration, demosaic="superpixel")
+        fusion.prepare()
+        assert fusion.clock_offset_us == (
+            round(camera.clock_offset_us) if calibration else 0)
+        errors.append(errors_of(fusion, truth))
+    assert fusion.camera.clock_offset_us == pytest.approx(-3000, abs=1500)
+    assert errors[1].aop < 0.9 * errors[0].aop
+
+
+def test_no_camera_is_learned_of_still_light():
+    still, _ = of(1009).record(FlatLight(), 1.0)
+    camera = fuse(still, method="kalman").camera
+    assert camera.parts == ()
+    assert camera.sensor_size == SIZE
 
 
 def test_a_learned_camera_is_written_as_numbers(tmp_path):

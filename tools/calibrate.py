@@ -13,7 +13,6 @@ import numpy as np
 from pdavis_cv import Calibration, Layout, Recording, fuse
 from pdavis_cv.analysis import found_zero
 from pdavis_cv.aps import clip_level
-from pdavis_cv.batch.works import measured_parts
 from pdavis_cv.calibration.check import check_recording
 from pdavis_cv.calibration.frames import dark_frame, flat_frame, frames_of
 from pdavis_cv.calibration.layout import detect_layout
@@ -23,6 +22,7 @@ from pdavis_cv.recording.base import start_of
 from pdavis_cv.sensor import CHANNELS, NOMINAL_THRESHOLDS, resolve_layout
 
 from ._calibration_report import Page, write_report
+from ._camera import of_all_pixels
 from ._common import (
     Parser,
     UsageError,
@@ -259,7 +259,7 @@ def _thresholds(
     recordings: list[Recording], args: argparse.Namespace, known: Calibration
 ) -> Found:
     found = learned_camera(recordings[0], nominal=args.nominal, calibration=known)
-    model, sigmas, sigma = found.pixels.model, found.pixels.sigmas, found.sigma
+    model, sigma = found.pixels.model, found.sigma
     page = Page("Contrast thresholds")
     for name, plane, error in zip(("ON", "OFF"), found.thetas, sigma, strict=True):
         page.say(f"{name} threshold", f"median {np.median(plane):.4f}, spread "
@@ -267,20 +267,14 @@ def _thresholds(
         page.image(f"{name} threshold", plane)
     page.say("ON/OFF ratio", f"error of one {100 * np.median(found.ratio_sigma):.2f} %")
     page.histogram("ON/OFF ratio", found.thetas[0] / found.thetas[1])
-    if not sigmas:
+    if not found.pixels.sigmas:
         page.say("note", "too few frames or events: these are the expected values")
-        return measured_parts(found), page
-    page.say("scale in common", f"error of all ON {100 * sigmas['on']:.2f} %, OFF "
-             f"{100 * sigmas['off']:.2f} %, in the above")
-    page.say("bandwidth", "{:.1f} Hz + {:.3g} Hz per DN/ms".format(*model.bandwidth))
-    if model.black:
-        page.say("black level", f"{model.black:.2f} DN/ms")
-    clock_us = found.pixels.clock_offset_us
-    page.say("frames' stamps", f"off by {clock_us / 1000:+.2f} +- "
-             f"{sigmas['shift'] / 1000:.2f} ms" if clock_us else "not off")
+        return found.parts, page
+    for what, text in of_all_pixels(found.parts):
+        page.say(what, text)
     page.say("refractory period", f"{1e6 * model.dead_s:.0f} us" if model.dead_s
              else "none that matters")
-    return measured_parts(found), page
+    return found.parts, page
 
 
 _PARTS: dict[str, Callable[

@@ -13,12 +13,13 @@ from pdavis_cv import Layout, Sensor
 from pdavis_cv._text import MOST_TEXT, shown
 from pdavis_cv.calibration.thresholds import thresholds_from_biases
 from pdavis_cv.export.files import plain
-from pdavis_cv.fusion.learning import learned_pixels
+from pdavis_cv.fusion.learning import learned_parts, learned_pixels
 from pdavis_cv.fusion.turning_speed import found_hz
 from pdavis_cv.recording.advice import Advice, advise
 from pdavis_cv.recording.base import Recording, RecordingInfo, Report
 from pdavis_cv.recording.facts import ASSUMED, FILE, Fact, assumptions
 
+from ._camera import of_all_pixels
 from ._common import Parser, command, in_flags
 from ._options import add_file, add_source_options, opened
 
@@ -33,8 +34,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     with opened(args) as recording:
         report = recording.scan() if args.scan else None
-        advice = [*advise(recording), *_clock(recording), *_modulation(recording)
-                  ] if args.scan else []
+        camera = learned_parts(learned_pixels(recording)) if (
+            args.scan and recording.info.frame_count != 0) else {}
+        advice = [*advise(recording), *_clock(
+            camera.get("clock_offset_us", 0), camera.get("clock_offset_sigma_us", 0)),
+            *_modulation(recording)] if args.scan else []
         problems = recording.problems
         name = args.file if isinstance(args.file, str) else recording.name
         if args.json:
@@ -45,11 +49,13 @@ def main(argv: Sequence[str] | None = None) -> int:
             if report is not None:
                 facts["scan"] = report
                 facts["advice"] = advice
+                facts["camera"] = {name: value for name, value in camera.items()
+                                   if name != "model"}
             json.dump(facts, sys.stdout, indent=2, default=_plain)
             print()
             return 0
         print(name)
-        for name, text in _rows(recording.info, report):
+        for name, text in [*_rows(recording.info, report), *of_all_pixels(camera)]:
             print(f"  {name:<11} {shown(' '.join(text.splitlines()), MOST_TEXT)}")
         for problem in problems:
             print(f"  problem     {in_flags(problem.message)[:MOST_TEXT]}")
@@ -58,18 +64,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _clock(recording: Recording) -> list[Advice]:
+def _clock(us: float, sigma_us: float) -> list[Advice]:
     """Return advice if the clocks of frames and events differ."""
-    if recording.info.frame_count == 0:
-        return []
-    found = learned_pixels(recording)
-    us = found.clock_offset_us
     if abs(us) < _LEAST_OFFSET_US:
         return []
     return [Advice(
-        "clocks", f"frames' stamps are {abs(us) / 1000:.1f} +- "
-        f"{found.sigmas['shift'] / 1000:.1f} ms {'early' if us > 0 else 'late'} by the "
-        "clock of the events",
+        "clocks", f"frames' stamps are {abs(us) / 1000:.1f} +- {sigma_us / 1000:.1f} "
+        f"ms {'early' if us > 0 else 'late'} by the clock of the events",
         f"method kalman corrects them; for other methods use --clock-offset {us:.0f}")]
 
 

@@ -29,10 +29,12 @@ from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore, pooled
 from pdavis_cv.batch import both_halves, predicted
 from pdavis_cv.errors import PdavisWarning
 from pdavis_cv.export import write_csv, write_json
+from pdavis_cv.fusion import Fusion
 from pdavis_cv.reconstruct.methods import METHODS, make_reconstructor
 from pdavis_cv.recording.base import start_of
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 
+from ._camera import of_all_pixels
 from ._common import Parser, UsageError, checked_out, command
 from ._options import add_file, add_source_options, calibration_of, opened
 from ._progress import progress
@@ -148,13 +150,19 @@ def main(argv: Sequence[str] | None = None) -> int:
             rows.append(_pooled([_predicted(one, name, known[name], *each)
                                  for one, each in zip(halves, pair, strict=True)]))
         polarized = recording.info.layout is not None
+        camera = Fusion(recording, calibration=calibration).camera
+    told = {name: getattr(camera, name) for name in camera.parts}
     advice = _advice(rows, args.file, polarized=polarized)
+    summary = {**_summary(args, halves, rows, advice), "camera": {
+        name: value for name, value in told.items() if isinstance(value, float)}}
     if args.json:
-        print(json.dumps(_summary(args, halves, rows, advice), indent=2))
+        print(json.dumps(summary, indent=2))
     else:
-        print("\n".join([*_table(halves, rows), "", *advice]))
+        print("\n".join([*_table(halves, rows), "", *(
+            f"{what}: {text}" for what, text in of_all_pixels(told, calibration)),
+            "", *advice]))
     if args.out is not None:
-        _write(args, halves, rows, advice)
+        _write(args.out, rows, summary)
     return 0
 
 
@@ -381,11 +389,7 @@ def _count(halves: Sequence[LeftOutFrames]) -> int:
     return sum(len(one.times_us) for one in halves)
 
 
-def _write(
-    args: argparse.Namespace, halves: Sequence[LeftOutFrames], rows: Sequence[Row],
-    advice: Sequence[str],
-) -> None:
-    stem: Path = args.out
+def _write(stem: Path, rows: Sequence[Row], summary: Mapping[str, Any]) -> None:
     write_csv(
         stem.with_name(stem.name + ".csv"),
         ("method", "thresholds_from", "on", "off", "class", "pixels", "rmse_ln",
@@ -393,5 +397,4 @@ def _write(
         ((row.method, row.source, *(row.thresholds or ("", "")), score.kind,
           score.pixels, score.rmse, score.bias, score.coverage)
          for row in rows for score in row.scores))
-    write_json(stem.with_name(stem.name + ".json"),
-               _summary(args, halves, rows, advice))
+    write_json(stem.with_name(stem.name + ".json"), summary)

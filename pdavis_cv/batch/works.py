@@ -23,7 +23,6 @@ from pdavis_cv.recording.base import Recording, start_of
 
 if TYPE_CHECKING:   # imported by the workers only
     from pdavis_cv.analysis import LeftOutFrames, Roi, Traces
-    from pdavis_cv.fusion.learning import LearnedCamera
     from pdavis_cv.polarimetry import PolarFrame
     from pdavis_cv.reconstruct.base import Estimate
 
@@ -250,8 +249,7 @@ class Calibrate:
         from pdavis_cv.fusion.learning import learned_camera
 
         found = learned_camera(recording, nominal=self.nominal, calibration=known)
-        values = {name: value for name, value in measured_parts(found).items()
-                  if value is not None}
+        values = found.parts
         base = known or Calibration(sensor_size=info.sensor_size, serial=info.serial)
         base.merge(Calibration(sensor_size=info.sensor_size, **values)).save(
             folder / "camera.npz")
@@ -261,23 +259,7 @@ class Calibrate:
             "theta_off": float(np.median(found.thetas[1])),
             "common_scale_sigma": max(
                 (sigmas[name] for name in sigmas if name in ("on", "off")), default=0),
-            **{name: value for name, value in values.items() if np.ndim(value) == 0}}
-
-
-def measured_parts(found: LearnedCamera) -> dict[str, Any]:
-    """Return the fields of a Calibration from a learned camera; None = not known."""
-    on, off = found.thetas
-    values: dict[str, Any] = {
-        "theta_on": on, "theta_off": off,
-        "theta_on_sigma": found.sigma[0], "theta_off_sigma": found.sigma[1]}
-    sigmas, (hz, per_dn) = found.pixels.sigmas, found.pixels.model.bandwidth
-    if "f0" in sigmas:
-        values["bandwidth_hz"] = hz if hz > 0 else None
-        values["bandwidth_hz_per_dn"] = per_dn if per_dn > 0 else None
-        values["bandwidth_sigma"] = max(sigmas["f0"], sigmas.get("slope", 0.0))
-    if found.pixels.clock_offset_us:
-        values["clock_offset_us"] = found.pixels.clock_offset_us
-    return values
+            **{name: one for name, one in values.items() if isinstance(one, float)}}
 
 
 def _first(images: Iterable[PolarFrame]) -> PolarFrame:

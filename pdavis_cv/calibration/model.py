@@ -18,6 +18,7 @@ from pdavis_cv._beside import write_beside
 from pdavis_cv._checks import sensor_shape
 from pdavis_cv._types import Facts, Image
 from pdavis_cv.errors import CalibrationError
+from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.sensor import Layout
 
 FORMAT_VERSION = 1
@@ -30,10 +31,11 @@ _PLANES = (
     "theta_on", "theta_off", "theta_on_sigma", "theta_off_sigma", "dark", "dark_noise",
     "gain", "analyser", "usable")
 _POSITIVE_NUMBERS = (
-    "clip_dn", "bandwidth_hz", "bandwidth_hz_per_dn", "bandwidth_sigma")
+    "thresholds_sigma", "clip_dn", "bandwidth_hz", "bandwidth_hz_per_dn",
+    "bandwidth_sigma", "clock_offset_sigma_us", "black_dn_per_ms", "black_sigma")
 _NUMBERS = (*_POSITIVE_NUMBERS, "clock_offset_us")
 # Fields that must be given together.
-_TOGETHER = (("theta_on", "theta_off"),)
+_TOGETHER = ("theta_on", "theta_off"), ("black_dn_per_ms", "black_sigma")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,6 +56,8 @@ class Calibration:
         Contrast thresholds, positive, in natural-log units.
     theta_on_sigma, theta_off_sigma : ndarray of float32, shape (H, W), optional
         Standard errors of the thresholds.
+    thresholds_sigma : float, optional
+        Relative standard error that all thresholds share.
     dark : ndarray of float32, shape (H, W), optional
         Dark offset in DN, subtracted after correlated double sampling.
     dark_noise : ndarray of float32, shape (H, W), optional
@@ -77,6 +81,14 @@ class Calibration:
     clock_offset_us : float, optional
         Offset added to the frames' exposure times to bring them to the clock of the
         events, microseconds; positive if events trail frames.
+    clock_offset_sigma_us : float, optional
+        Its standard error.  If it is given, ``kalman`` refines the offset from each
+        recording; otherwise the offset is taken as exact.
+    black_dn_per_ms, black_sigma : float, optional
+        Light that frames lack, DN per ms, and its standard error: events follow, and
+        images show, the sum.
+    model : PixelModel, optional
+        What else was learned of events and frames; the fields above go before it.
     notes : mapping of str to object
         Provenance and conditions, JSON values: wavelength in nm, f-number,
         temperature, how each part was measured.
@@ -96,6 +108,7 @@ class Calibration:
     theta_off: NDArray[np.float32] | None = None
     theta_on_sigma: NDArray[np.float32] | None = None
     theta_off_sigma: NDArray[np.float32] | None = None
+    thresholds_sigma: float | None = None
     dark: NDArray[np.float32] | None = None
     dark_noise: NDArray[np.float32] | None = None
     gain: NDArray[np.float32] | None = None
@@ -106,6 +119,10 @@ class Calibration:
     bandwidth_hz_per_dn: float | None = None
     bandwidth_sigma: float | None = None
     clock_offset_us: float | None = None
+    clock_offset_sigma_us: float | None = None
+    black_dn_per_ms: float | None = None
+    black_sigma: float | None = None
+    model: PixelModel | None = None
     notes: Facts = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -150,7 +167,7 @@ class Calibration:
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of the fields that are set."""
-        return tuple(name for name in ("layout", *_PLANES, *_NUMBERS)
+        return tuple(name for name in ("layout", *_PLANES, *_NUMBERS, "model")
                      if getattr(self, name) is not None)
 
     @property
@@ -243,6 +260,7 @@ class Calibration:
             "chip": self.chip, "serial": self.serial, "notes": dict(self.notes),
             "layout": None if self.layout is None else self.layout.angles_deg,
             "colours": None if self.layout is None else self.layout.colours,
+            "model": None if self.model is None else self.model.as_lists(),
             **{name: getattr(self, name) for name in _NUMBERS}}
         planes = {name: getattr(self, name) for name in _PLANES
                   if getattr(self, name) is not None}
@@ -284,14 +302,15 @@ class Calibration:
             raise CalibrationError(
                 f"{path}: not a calibration file, or damaged: {error}") from None
         try:
-            cell = head["layout"]
-            for name in ("bandwidth_sigma", "clock_offset_us", "colours"):
+            cell, model = head["layout"], head.get("model")
+            for name in (*_NUMBERS, "colours"):
                 head.setdefault(name, None)     # missing in files of earlier versions
             return cls(
                 sensor_size=tuple(head["sensor_size"]), chip=head["chip"],
                 serial=head["serial"], notes=head["notes"],
                 layout=None if cell is None else Layout(
                     tuple(cell[0]), tuple(cell[1]), colours=head["colours"]),
+                model=None if model is None else PixelModel.of_lists(model),
                 **{name: head[name] for name in _NUMBERS}, **planes)
         except (KeyError, TypeError, ValueError, AttributeError,
                 OverflowError) as error:

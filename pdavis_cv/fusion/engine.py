@@ -18,6 +18,7 @@ from pdavis_cv._options import changed
 from pdavis_cv._types import Events, Facts, Parameters
 from pdavis_cv._workers import Begun, Workers
 from pdavis_cv.calibration.corrected import FrameCorrection
+from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.colour_mosaic import COLOUR_REACH
 from pdavis_cv.fusion.camera import (
     check_calibration_fits,
@@ -80,7 +81,6 @@ class Fusion(Advises):
     layout: Layout
     shape: tuple[int, int]
     _t: int | None
-    _corrected: FrameCorrection
 
     def __init__(
         self, recording: Source, options: FusionOptions | None = None, **changes: Any
@@ -106,7 +106,7 @@ class Fusion(Advises):
         self.layout = chosen_layout(options.layout, options.calibration, recording)
         sensor = chosen_sensor(options.layout, recording)
         ratio = resolved_extinction_ratio(options.extinction_ratio, sensor)
-        roi = checked_roi(options.roi, info.sensor_size, options.demosaic)
+        self.roi = checked_roi(options.roi, info.sensor_size, options.demosaic)
         self._factory = factory_of(options.method or default_method(info))
         self._denoise = None if options.denoise is False else (
             {} if options.denoise is True else options.denoise)
@@ -116,14 +116,13 @@ class Fusion(Advises):
             recording, options, parameters, self.needs, probe.lookahead_us)
         self._workers = Workers(options.threads)
         self._clock_us = self._learning.prior.clock_us
-        self.roi = roi
         reach = REACH[options.demosaic]
         if self.layout.colours:
             check_method(options.demosaic, info.sensor_size, self.layout)
             reach += COLOUR_REACH[options.demosaic]
-        self.window = window_of(roi, info.sensor_size, probe.margin + reach)
+        self.window = window_of(self.roi, info.sensor_size, probe.margin + reach)
         self._images = ImageMaker(
-            self.window, roi, self.layout, options.demosaic, ratio,
+            self.window, self.roi, self.layout, options.demosaic, ratio,
             options.calibration, sensor, self._workers)
         self.shape = self._images.shape
         self._fps = None if options.fps is None else Fraction(options.fps)
@@ -140,7 +139,7 @@ class Fusion(Advises):
                            if np.ndim(value) < 2},
             "clock_offset_us": self._clock_us,
             "causal": options.causal, "layout": str(self.layout),
-            "extinction_ratio": ratio, "demosaic": options.demosaic, "roi": roi,
+            "extinction_ratio": ratio, "demosaic": options.demosaic, "roi": self.roi,
             "calibration": (known := options.calibration) and (
                 known.serial, known.chip, known.sensor_size),
             "source": str(recording.path) if recording.path else info.format,
@@ -332,14 +331,20 @@ class Fusion(Advises):
 
     @property
     def clock_offset_us(self) -> int:
-        """Offset added to the frames' exposure times, us.
+        """Offset added to the frames' exposure times, us (`camera`)."""
+        return self._known.clock_us
 
-        Where it is to be learned: with `causal`, the estimate at the last image;
-        otherwise the beginning of the recording is read to find it.
+    @property
+    def camera(self) -> Calibration:
+        """The calibration of the options with what was learned, to start another from.
+
+        With `causal` as at the last image, else as the recording's beginning tells.
         """
-        if not self.options.causal:
-            self._clock_us = self._initial_tuning().clock_us
-        return self._clock_us
+        return self._learning.camera(self._known)
+
+    @property
+    def _known(self) -> Tuning:
+        return self._initial_tuning() if self._online is None else self._online.tuning
 
     @property
     def start_us(self) -> int | None:
@@ -453,15 +458,11 @@ class Fusion(Advises):
             after_us=after_us, frames_after_us=frames_after_us, reached_us=reached_us,
             clock_us=clock_us)
 
-    @property
-    def _learns_first(self) -> bool:
-        return bool(self._learning.wanted) and not self.options.causal
-
     def _initial_tuning(self) -> Tuning:
         """Return the parameters for the first image, which may read the beginning."""
         if self._tuning is None:
             self._tuning = self._learning.prior
-            if self._learns_first:
+            if self._learning.wanted and not self.options.causal:
                 source = self.recording
                 if isinstance(source, Recording):
                     ahead = source.packets()

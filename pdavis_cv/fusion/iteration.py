@@ -10,6 +10,7 @@ from typing import Any, Unpack, overload
 from pdavis_cv._advice import Advises
 from pdavis_cv._options import changed, names_options
 from pdavis_cv._workers import Begun
+from pdavis_cv.calibration.model import Calibration
 from pdavis_cv.fusion.engine import Fusion
 from pdavis_cv.fusion.options import FusionKeywords, FusionOptions
 from pdavis_cv.fusion.turning import TurningFusion
@@ -68,7 +69,8 @@ def fuse(
     -------
     iterator of PolarFrame
         With `threads` above 1, it reads a recording ahead.  Its `close` ends the
-        threads.
+        threads.  Its `camera` is a `Calibration` of what is known of the camera; given
+        as `calibration`, learning from another recording starts there.
 
     Raises
     ------
@@ -119,6 +121,12 @@ class ReadAhead(Advises, Iterator[PolarFrame]):
         """Return the number of all images; see `Fusion`."""
         with self._lock:        # it may have to read the beginning
             return len(self._fusion)
+
+    @property
+    def camera(self) -> Calibration:
+        """What is known of the camera; see `Fusion`."""
+        with self._lock:
+            return self._fusion.camera
 
     def __next__(self) -> PolarFrame:
         with self._lock:

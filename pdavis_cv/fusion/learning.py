@@ -89,6 +89,13 @@ class LearnedCamera:
         return np.sqrt(np.moveaxis(np.diagonal(self.covariance, 0, 2, 3), 2, 0))
 
     @property
+    def parts(self) -> dict[str, Any]:
+        """The fields of a Calibration."""
+        on, off = self.thetas
+        return {**learned_parts(self.pixels), "theta_on": on, "theta_off": off,
+                "theta_on_sigma": self.sigma[0], "theta_off_sigma": self.sigma[1]}
+
+    @property
     def ratio_sigma(self) -> NDArray[np.float64]:
         """Standard deviation of ln(theta_on / theta_off), shape (H, W)."""
         on, off = self.thetas
@@ -133,8 +140,7 @@ class Learning:
             "model", "thresholds"} else threshold_origin(
                 source, options.thresholds, options.nominal_thresholds,
                 self._calibration))
-        stated = _stated_clock(options)
-        clock = (0.0, _CLOCK_SIGMA_US) if stated is None else (stated, 0.0)
+        clock = _stated_clock(options)
         self._priors = _priors(options.thresholds, self._calibration, on, off, clock)
         if "model" in needs.learned and "model" not in known:
             known["model"] = prior_model(self._priors, self._lookahead_us)
@@ -155,7 +161,7 @@ class Learning:
             known = None if before is None else before.parameters.get("model")
             pixels = learn(sample, self._priors, self._lookahead_us, known)
         scale = None
-        stated = self._priors.theta_sigma == _STATED_SIGMA
+        stated = self._priors.theta_sigma < _NOMINAL_SIGMA
         if "event_scale" in wanted or (
                 pixels is not None and pixels.told and not stated):
             scale = event_scale(sample, nominal)
@@ -208,14 +214,14 @@ class Learning:
         thetas: tuple[Theta, Theta] | None = None
         stated = self.prior.theta_on, self.prior.theta_off
         if "event_scale" in self.wanted and found.scale is not None:
-            thetas = _scaled(stated, (found.scale, found.scale))
+            thetas = _scaled(stated[0], found.scale), _scaled(stated[1], found.scale)
         if found.thetas is not None:
             on, off = found.thetas.astype(np.float32)
             thetas = on, off
         elif "thresholds" in self.wanted and found.pixels is not None:
             mean_off, mean_on = found.pixels.model.thresholds
-            thetas = _scaled(stated, (mean_on / np.mean(stated[0]),
-                                      mean_off / np.mean(stated[1])))
+            thetas = (_scaled(stated[0], mean_on / np.mean(stated[0])),
+                      _scaled(stated[1], mean_off / np.mean(stated[1])))
         if thetas is not None:
             tuning = dataclasses.replace(
                 tuning, theta_on=thetas[0], theta_off=thetas[1])
@@ -225,8 +231,20 @@ class Learning:
                 first or not found.pixels.told):
             changes["model"] = found.pixels.model
             tuning = dataclasses.replace(
-                tuning, clock_us=round(found.pixels.clock_offset_us))
+                tuning, clock_us=round(found.pixels.clock_offset_us),
+                pixels=found.pixels)
         return tuning.changed(**changes)
+
+    def camera(self, tuning: Tuning) -> Calibration:
+        """Return the calibration with what a tuning was learned as."""
+        size = self._info.sensor_size
+        known = self._calibration or Calibration(
+            sensor_size=size, serial=self._info.serial)
+        parts = {} if tuning.pixels is None else learned_parts(tuning.pixels)
+        for name in parts.keys() & {"theta_on", "theta_off"}:
+            stated = getattr(self.prior, name)
+            parts[name] = np.full(size, _scaled(stated, parts[name] / np.mean(stated)))
+        return known.merge(Calibration(sensor_size=size, **parts))
 
 
 _kept: weakref.WeakKeyDictionary[
@@ -251,6 +269,26 @@ def learned_pixels(
     return learn(sample, Priors(
         theta=(_mean(off), _mean(on)), theta_sigma=_NOMINAL_SIGMA,
         clock_us=(0.0, _CLOCK_SIGMA_US)), 0)
+
+
+def learned_parts(found: LearnedPixels) -> dict[str, Any]:
+    """Return what is told of all pixels, named as the fields of a Calibration."""
+    model, sigmas = found.model, found.sigmas
+    if found.told or not sigmas:
+        return {}
+    off, on = model.thresholds.tolist()
+    parts: dict[str, Any] = {
+        "theta_on": on, "theta_off": off, "model": model,
+        "thresholds_sigma": max(sigmas["on"], sigmas["off"])}
+    if "f0" in sigmas and any(model.bandwidth):
+        parts["bandwidth_hz"], parts["bandwidth_hz_per_dn"] = model.bandwidth
+        parts["bandwidth_sigma"] = max(sigmas["f0"], sigmas.get("slope", 0.0))
+    if found.clock_offset_us and "shift" in sigmas:
+        parts["clock_offset_us"] = found.clock_offset_us
+        parts["clock_offset_sigma_us"] = sigmas["shift"]
+    if model.black and "black" in sigmas:
+        parts["black_dn_per_ms"], parts["black_sigma"] = model.black, sigmas["black"]
+    return {name: value for name, value in parts.items() if value}
 
 
 def learned_camera(
@@ -319,36 +357,39 @@ def _priors(
 ) -> Priors:
     """Return what is known of the pixels beforehand."""
     measured = chosen is not None and not isinstance(chosen, str)
-    if chosen in (None, "calibration") and not measured:
-        measured = calibration is not None and calibration.theta_on is not None
-    law = None if calibration is None else (
-        calibration.bandwidth_hz or 0.0, calibration.bandwidth_hz_per_dn or 0.0)
-    told = 0.0 if calibration is None else calibration.bandwidth_sigma or 0.0
-    return Priors(
-        theta=(_mean(off), _mean(on)),
-        theta_sigma=_STATED_SIGMA if measured else _NOMINAL_SIGMA,
-        clock_us=clock_us,
-        **({} if law is None or not any(law) else {
-            "bandwidth": law, "bandwidth_sigma": (told, told)}))
+    sigma = _STATED_SIGMA
+    if chosen in (None, "calibration") and not measured and calibration is not None:
+        measured = calibration.theta_on is not None
+        sigma = min(max(calibration.thresholds_sigma or 0.0, sigma), _NOMINAL_SIGMA)
+    priors = Priors(theta=(_mean(off), _mean(on)), clock_us=clock_us,
+                    theta_sigma=sigma if measured else _NOMINAL_SIGMA)
+    if calibration is None:
+        return priors
+    law = calibration.bandwidth_hz or 0.0, calibration.bandwidth_hz_per_dn or 0.0
+    if any(law):
+        of_law = calibration.bandwidth_sigma or 0.0
+        priors = dataclasses.replace(
+            priors, bandwidth=law, bandwidth_sigma=(of_law, of_law))
+    if calibration.black_dn_per_ms is not None and calibration.black_sigma is not None:
+        priors = dataclasses.replace(
+            priors, black=(calibration.black_dn_per_ms, calibration.black_sigma))
+    return dataclasses.replace(priors, model=calibration.model)
 
 
 def _mean(theta: ArrayLike) -> float:
     return float(np.asarray(theta, np.float64).mean())
 
 
-def _scaled(
-    thetas: tuple[Theta, Theta], factors: tuple[float, float],
-) -> tuple[Theta, Theta]:
-    on, off = (theta * np.float32(factor) if isinstance(theta, np.ndarray)
-               else theta * float(factor)
-               for theta, factor in zip(thetas, factors, strict=True))
-    return on, off
+def _scaled(theta: Theta, factor: float) -> Theta:
+    return theta * np.float32(factor) if isinstance(theta, np.ndarray) else (
+        theta * float(factor))
 
 
-def _stated_clock(options: FusionOptions) -> float | None:
-    """Return the stated offset of the frames' clock, None if it is to be learned."""
-    stated = options.clock_offset_us
-    if isinstance(stated, str):
-        known = options.calibration
-        return None if known is None else known.clock_offset_us
-    return 0.0 if stated is None else float(stated)
+def _stated_clock(options: FusionOptions) -> tuple[float, float]:
+    """Return the offset of the frames' clock and its standard deviation, us."""
+    stated, known = options.clock_offset_us, options.calibration
+    if not isinstance(stated, str):
+        return stated or 0.0, 0.0
+    if known is None or known.clock_offset_us is None:
+        return 0.0, _CLOCK_SIGMA_US
+    return known.clock_offset_us, known.clock_offset_sigma_us or 0.0

@@ -9,6 +9,7 @@ import numpy as np
 
 from pdavis_cv._types import Parameters
 from pdavis_cv.calibration.thresholds import Theta
+from pdavis_cv.pixel.learn import LearnedPixels
 from pdavis_cv.pixel.model import PixelModel
 
 _UNSET = object()
@@ -26,12 +27,15 @@ class Tuning:
         Further parameters of the method.
     clock_us : int
         Offset of the frames' clock, which is added to their exposure times, us.
+    pixels : LearnedPixels or None
+        What `parameters` and the offset were learned as, with their errors.
     """
 
     theta_on: Theta
     theta_off: Theta
     parameters: Parameters
     clock_us: int
+    pixels: LearnedPixels | None = None
 
     @property
     def photoreceptors(self) -> tuple[Theta, Theta, tuple[float, float] | None]:

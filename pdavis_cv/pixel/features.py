@@ -36,8 +36,8 @@ def further_weights(
 ) -> PixelModel:
     """Return the model with further weights, if they predict pairs left out better.
 
-    They are shrunk to 0 by as much as cross-validation says; the simplest is taken
-    that is not worse than the best by a standard error over pairs.
+    They are shrunk to the model's by as much as cross-validation says; those nearest to
+    them are taken that are not worse than the best by a standard error over pairs.
     """
     number = int(pairs.pair.max(initial=-1)) + 1
     if number < 2 * FOLDS:
@@ -46,7 +46,9 @@ def further_weights(
     around = around_rows(data, past, pairs, model, shift_us, lookahead_us)
     x = np.concatenate([rows.feature, around], 1)
     used = np.any(x != 0, 0)
-    first = np.concatenate([model.theta, np.zeros(x.shape[1] - 2)])
+    first = np.concatenate([each.ravel() for each in (
+        model.theta, model.by_class, np.stack([model.own, model.cell, model.near], 1),
+        model.cell_now, model.near_now)])
     penalty = _unseen(
         data, past, pairs, model, gains, shift_us, lookahead_us,
         1 / rows.variance(model))
@@ -55,8 +57,7 @@ def further_weights(
     penalty += SAME_SCALE * scale.T @ np.linalg.solve(
         scale[:, :2] + 1e-9 * np.trace(scale[:, :2]) * np.eye(2), scale)
     fold = pairs.pair * FOLDS // number
-    change = rows.change - rows.feature[:, 2:] @ model.by_class.ravel()
-    residual = change - x @ first
+    residual = rows.change - x @ first
     k, _ = robust(residual, rows.variance(model))
     blocks = []
     for i in range(FOLDS):
@@ -77,7 +78,7 @@ def further_weights(
         if shrink:
             for i in range(FOLDS):
                 here = fold == i
-                outside[here] = change[here] - x[here] @ solved(shrink, i)
+                outside[here] = rows.change[here] - x[here] @ solved(shrink, i)
         error = (outside * rows.jacobian) ** 2 / (
             rows.frame_noise * rows.jacobian**2 + LOSS**2)
         losses.append(np.bincount(
@@ -86,10 +87,9 @@ def further_weights(
     best = int(np.argmin([loss.sum() for loss in losses]))
     chosen = next(i for i in range(best + 1) if i == best or not _better(
         losses[best], losses[i]))
-    if not SHRINKS[chosen]:
-        return model
-    return _with(model, solved(SHRINKS[chosen], None)).replace(
-        noise=fitted_noise(rows, model, outsides[chosen]))
+    if SHRINKS[chosen]:
+        model = _with(model, solved(SHRINKS[chosen], None))
+    return model.replace(noise=fitted_noise(rows, model, outsides[chosen]))
 
 
 def _better(loss: Floats, other: Floats) -> bool:
@@ -128,8 +128,8 @@ def _with(model: PixelModel, weights: Floats) -> PixelModel:
     lags = rest[:-4].reshape(-1, 3, 2)
     last = rest[-4:]
     return model.replace(
-        thresholds=model.theta, theta=np.maximum(theta, 0.1 * model.theta),
-        by_class=model.by_class + classes.reshape(2, GAP_CLASSES),
+        theta=np.maximum(theta, 0.1 * model.theta),
+        by_class=classes.reshape(2, GAP_CLASSES),
         own=lags[:, 0], cell=lags[:, 1], near=lags[:, 2], cell_now=last[:2],
         near_now=last[2:])
 

@@ -23,7 +23,7 @@ from pdavis_cv.pixel.rows import (
     thinned,
 )
 from pdavis_cv.pixel.sample import PixelSample, Sampled
-from pdavis_cv.pixel.silences import learned_silences, table_of
+from pdavis_cv.pixel.silences import dead_time, learned_silences, table_of
 
 STARTS_US = range(-10_000, 14_000, 2000)
 """Clock offsets from which the fit starts, us: the likeliest two are followed."""
@@ -62,8 +62,8 @@ moves more depends on what happens between events."""
 MODEL_ERROR = 0.02
 """Relative error of thresholds that a perfect fit leaves, of simulated cameras."""
 
-LEAST_KNOWN = 0.9
-"""Share of the prior error of thresholds that is left where frames tell nothing."""
+LEAST_KNOWN = 1.0
+"""Relative error of thresholds by the data alone where frames tell nothing of them."""
 
 LOSS = 0.5
 """Error of ln DN from which losses are robust."""
@@ -106,6 +106,9 @@ class Priors:
         Standard deviations of their logarithms; zeros: they are known.
     black : (float, float) or None
         Black level, DN/ms, and its standard deviation; None: learned, if it is there.
+    model : PixelModel or None
+        What was learned of the camera before: its weights and silences are those that
+        a recording's are shrunk to.
     """
 
     theta: tuple[float, float]
@@ -114,6 +117,7 @@ class Priors:
     bandwidth: tuple[float, float] = (300.0, 2.0)
     bandwidth_sigma: tuple[float, float] = (0.5, 1.0)
     black: tuple[float, float] | None = None
+    model: PixelModel | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -188,11 +192,14 @@ def _with(fit: _Fit, **changes: object) -> _Fit:
 def prior_model(priors: Priors, lookahead_us: int) -> PixelModel:
     """Return the camera that the priors describe."""
     theta, table = np.array(priors.theta, np.float64), table_of(lookahead_us)
-    return PixelModel(
+    model = PixelModel(
         theta=theta, theta_cov=np.diag((priors.theta_sigma * theta) ** 2),
         spread=SPREAD, bandwidth=priors.bandwidth, rest_s=RESTS_S[0],
         end=table[0], bow=table[1], lags_s=lags_of(lookahead_us),
         black=0.0 if priors.black is None else priors.black[0])
+    if priors.model is None or not np.array_equal(priors.model.lags_s, model.lags_s):
+        return model
+    return model.like(priors.model)
 
 
 def learn(
@@ -216,23 +223,24 @@ def learn(
         As the priors say what the data do not tell.
     """
     data = sample.sampled()
-    clock, of_clock = priors.clock_us
-    prior = model = learned_frame_noise(data, prior_model(priors, lookahead_us))
+    told, _ = priors.clock_us
+    prior = learned_frame_noise(data, prior_model(priors, lookahead_us))
     gains = np.zeros((2, len(data.start) - 1))
-    told = 0.0 if of_clock else clock   # an offset needs evidence, or to be known
-    fit = _Fit(model, told, 0.0, gains, {})
-    pairs = pairs_of(data, clock)
+    fit = _Fit(learned_frame_noise(data, prior_model(
+        replace(priors, model=None), lookahead_us)), told, 0.0, gains, {})
+    pairs = pairs_of(data, told)
     if pairs is None or len(data.events) < 100:
-        return LearnedPixels(model=model, clock_offset_us=told, gains=gains, told=True)
+        return LearnedPixels(model=prior, clock_offset_us=told, gains=gains, told=True)
     every = pairs
     if pairs.whole.mean() > LEAST_WHOLE:
         pairs = pairs.part(pairs.whole)
-    fit = _with(fit, dead_s=_dead_time(data))
+    fit = _with(fit, dead_s=dead_time(data))
     fit = _fitted(data, pairs, priors, fit, 0.0 if before is None else before.black)
     fit = _with(fit, thresholds=fit.model.theta)
-    model, past = fit.model, _past(data, fit.model)
-    model = learned_silences(data, past, model, lookahead_us)
-    if max(fit.sigmas["off"], fit.sigmas["on"]) > LEAST_KNOWN * priors.theta_sigma:
+    past = _past(data, fit.model)
+    model = learned_silences(data, past, fit.model.like(prior), lookahead_us)
+    known = max(fit.sigmas["off"], fit.sigmas["on"])**-2 - priors.theta_sigma**-2
+    if known < LEAST_KNOWN**-2:
         # Frames do not tell events from noise: what was told stays.
         model = model.replace(black=prior.black, bandwidth=prior.bandwidth)
         return LearnedPixels(model=model, clock_offset_us=told, gains=gains,
@@ -254,33 +262,6 @@ def _past(data: Sampled, model: PixelModel) -> NDArray[np.void]:
     first = np.full(len(data.start) - 1, data.t[0] if len(data.t) else 0, np.int64)
     _kernels.learning_past(past, data.start, first, model.numbers)
     return past
-
-
-def _dead_time(data: Sampled) -> float:
-    """Return the dead time that the shortest gaps show, s, or 0.
-
-    Gaps to an event of the same and of the other sign must end at the same edge (light
-    that turns makes no short gap), known to a fifth, and what is lost must matter.
-    """
-    gap = 1e-6 * np.diff(data.events["t"])
-    inside = np.ones(len(gap), np.bool_)
-    first = data.start[1:-1]
-    inside[first[(first > 0) & (first < len(data.events))] - 1] = False
-    other = inside & (np.diff(data.events["sign"]) != 0)
-    edges = []
-    for chosen in (inside, other):
-        few = np.sort(gap[chosen])[:8]
-        if len(few) < 8:
-            return 0.0
-        step = (few[-1] - few[0]) / 7
-        edges.append((few[0] - step, math.hypot(step, 1e-6)))
-    (edge, _), (of_other, error) = edges
-    seconds = 1e-6 * float(data.t[-1] - data.t[0])
-    rate = len(data.t) / seconds / max(int((np.diff(data.start) > 0).sum()), 1)
-    if edge > 5e-5 and edge * rate > 0.02 and error < 0.2 * edge and (
-            of_other - edge < 0.1 * edge + 3 * error):
-        return float(edge)
-    return 0.0
 
 
 def _fitted(
@@ -322,8 +303,10 @@ def _fitted(
     if slow.cost < best.cost - EVIDENCE and _usual(priors, slow.model, light, 0):
         best = slow
     # Frames see the sum of the clock's offset and the photoreceptors' lag.  That may be
-    # longer than usual by so much, at two sigmas: a smaller offset is not taken.
-    told, spare = first.shift_us, _lag_us(priors.bandwidth, light) * math.expm1(
+    # longer than usual by so much, at two sigmas: a smaller offset is not taken, unless
+    # there is known to be one.
+    told = first.shift_us
+    spare = 0.0 if told else _lag_us(priors.bandwidth, light) * math.expm1(
         2 * priors.bandwidth_sigma[0])
     for start in starts:
         other = tried(start, clock)
@@ -336,7 +319,8 @@ def _fitted(
     if "black" in numbers:
         held = {"black": numbers["black"]}
         ms = float(np.median(pairs.ms))
-        other = tried(_with(best, black=black or BLACK[0] / ms), [*used, "black"])
+        other = tried(_with(best, black=black or best.model.black or BLACK[0] / ms),
+                      [*used, "black"])
         (without, steady), (within, _) = (
             _losses(data, pairs, one) for one in (best, other))
         gain = np.bincount(pairs.pair, np.where(steady, without - within, 0))
@@ -429,10 +413,11 @@ def _numbers(priors: Priors, gap_us: float, pairs: Pairs) -> dict[str, _Number]:
     every["lag"] = _Number(
         0.0, LAG_OF_GAP * gap_us, CLOCK_STEP_US, 1500.0, lambda f: f.lag_us,
         lambda f, x: _changed(f, lag_us=x))
-    if priors.black is None:
-        ms = float(np.median(pairs.ms))
+    ms = float(np.median(pairs.ms))
+    mean, sigma = priors.black or (0.0, BLACK[1] / ms)
+    if sigma > 0:
         every["black"] = _Number(
-            0.0, BLACK[1] / ms, 4.0 / ms, 30.0 / ms, lambda f: f.model.black,
+            mean, sigma, 4.0 / ms, 30.0 / ms, lambda f: f.model.black,
             lambda f, x: _with(f, black=max(x, 0.0)))
     for i, name in enumerate(("f0", "slope")):
         if priors.bandwidth[i] > 0 and priors.bandwidth_sigma[i] > 0:

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any
@@ -173,6 +174,43 @@ class PixelModel:
     def replace(self, **changes: Any) -> PixelModel:
         """Return a model in which some fields are others."""
         return replace(self, **changes)
+
+    def like(self, other: PixelModel) -> PixelModel:
+        """Return the model with the weights and silences of another one.
+
+        Weights are kept relative to the thresholds.
+        """
+        factor = self.thresholds / other.thresholds
+        return replace(
+            self, theta=factor * other.theta, end=other.end, bow=other.bow,
+            by_class=factor[:, np.newaxis] * other.by_class, own=factor * other.own,
+            cell=factor * other.cell, near=factor * other.near,
+            cell_now=factor * other.cell_now, near_now=factor * other.near_now)
+
+    def as_lists(self) -> dict[str, Any]:
+        """Return all fields as JSON has them."""
+        return {one.name: np.asarray(getattr(self, one.name)).tolist()
+                for one in fields(self)}
+
+    @classmethod
+    def of_lists(cls, values: Mapping[str, Any]) -> PixelModel:
+        """Return the model that `as_lists` told.
+
+        Raises
+        ------
+        ValueError
+            If a field is missing, not finite, or of another shape.
+        """
+        like = cls(theta=np.ones(2))
+        found: dict[str, Any] = {}
+        for one in fields(cls):
+            usual, value = getattr(like, one.name), np.array(values[one.name], float)
+            if value.shape != np.shape(usual) or not np.isfinite(value).all():
+                raise ValueError(f"model: {one.name} must be finite and have shape "
+                                 f"{np.shape(usual)}, got {value.shape}")
+            found[one.name] = value if isinstance(usual, np.ndarray) else (
+                tuple(value.tolist()) if value.ndim else type(usual)(value))
+        return cls(**found)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, PixelModel) and all(

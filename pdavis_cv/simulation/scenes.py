@@ -273,7 +273,39 @@ class FlatLight(Scene):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RotatingPolarizer(Scene):
+class _Turning(Scene):
+    """What turns before a uniform lamp."""
+
+    rpm: float
+    s0: float = FULL
+    start_angle: float = 0.0
+    uniform = True
+    cycles = 2      # of the light in a turn
+
+    def __post_init__(self) -> None:
+        python_numbers(self)
+        turning(self.rpm, **{name: value for name, value in vars(self).items()
+                             if name not in ("rpm", "s0", "dolp")})
+        within(0, MOST_LIGHT, s0=self.s0)
+
+    @property
+    def step_us(self) -> float:
+        """Interval at which sampling the light loses nothing."""
+        return step_of(self.cycles * self.rad_per_us)
+
+    @property
+    def rad_per_us(self) -> float:
+        """Speed in radians per microsecond."""
+        return rad_per_us(self.rpm)
+
+    def _angle(
+        self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike
+    ) -> NDArray[np.float64]:
+        return self.start_angle + self.rad_per_us * same_everywhere(t_us, x, y)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RotatingPolarizer(_Turning):
     """A polarizer turning in front of a uniform lamp; AoP makes two cycles per turn.
 
     Parameters
@@ -289,37 +321,19 @@ class RotatingPolarizer(Scene):
         Degree of linear polarization of the light, 0..1.
     """
 
-    rpm: float
-    s0: float = FULL
-    start_angle: float = 0.0
     dolp: float = 1.0
-    uniform = True
 
     def __post_init__(self) -> None:
-        python_numbers(self)
-        turning(self.rpm, start_angle=self.start_angle)
-        within(0, MOST_LIGHT, s0=self.s0)
+        super().__post_init__()
         fraction(dolp=self.dolp)
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
         """S0, S1, S2 in DN per ms."""
-        t = same_everywhere(t_us, x, y)
-        return polarized(
-            self.s0, self.dolp, self.start_angle + self.rad_per_us * t)
-
-    @property
-    def step_us(self) -> float:
-        """Interval at which sampling the light loses nothing."""
-        return step_of(2 * self.rad_per_us)
-
-    @property
-    def rad_per_us(self) -> float:
-        """Speed of the polarizer in radians per microsecond."""
-        return rad_per_us(self.rpm)
+        return polarized(self.s0, self.dolp, self._angle(t_us, x, y))
 
 
 @dataclass(frozen=True, kw_only=True)
-class PolarizerBeforePlate(Scene):
+class PolarizerBeforePlate(_Turning):
     """A turning polarizer before a fixed retarder (Haessig, supplement S1.2).
 
     With a quarter-wave plate DoLP makes four cycles per turn, and AoP jumps between
@@ -338,33 +352,17 @@ class PolarizerBeforePlate(Scene):
         Radians, within 1e6 of 0; pi/2 for a quarter-wave plate.
     """
 
-    rpm: float
-    s0: float = FULL
-    start_angle: float = 0.0
     axis: float = 0.0
     retardance: float = math.pi / 2
-    uniform = True
-
-    def __post_init__(self) -> None:
-        python_numbers(self)
-        turning(self.rpm, start_angle=self.start_angle, axis=self.axis,
-                retardance=self.retardance)
-        within(0, MOST_LIGHT, s0=self.s0)
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
         """S0, S1, S2 in DN per ms."""
-        t = same_everywhere(t_us, x, y)
-        polarizer = self.start_angle + rad_per_us(self.rpm) * t
-        return behind_plate(self.s0, polarizer, self.axis, self.retardance)
-
-    @property
-    def step_us(self) -> float:
-        """Interval at which sampling the light loses nothing."""
-        return step_of(2 * rad_per_us(self.rpm))
+        return behind_plate(
+            self.s0, self._angle(t_us, x, y), self.axis, self.retardance)
 
 
 @dataclass(frozen=True, kw_only=True)
-class RotatingPlate(Scene):
+class RotatingPlate(_Turning):
     """A turning retarder behind a fixed polarizer.
 
     With a quarter-wave plate DoLP and AoP both make four cycles per turn, and the
@@ -383,29 +381,14 @@ class RotatingPlate(Scene):
         Radians, within 1e6 of 0; pi/2 for a quarter-wave plate.
     """
 
-    rpm: float
-    s0: float = FULL
-    start_angle: float = 0.0
     polarizer: float = 0.0
     retardance: float = math.pi / 2
-    uniform = True
-
-    def __post_init__(self) -> None:
-        python_numbers(self)
-        turning(self.rpm, start_angle=self.start_angle, polarizer=self.polarizer,
-                retardance=self.retardance)
-        within(0, MOST_LIGHT, s0=self.s0)
+    cycles = 4
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
         """S0, S1, S2 in DN per ms."""
-        t = same_everywhere(t_us, x, y)
-        axis = self.start_angle + rad_per_us(self.rpm) * t
-        return behind_plate(self.s0, self.polarizer, axis, self.retardance)
-
-    @property
-    def step_us(self) -> float:
-        """Interval at which sampling the light loses nothing."""
-        return step_of(4 * rad_per_us(self.rpm))
+        return behind_plate(
+            self.s0, self.polarizer, self._angle(t_us, x, y), self.retardance)
 
 
 def behind_plate(
