@@ -20,7 +20,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,7 +42,7 @@ from ._values import numbers, positive
 
 _CELLS = CLASSES[-1]
 
-SOURCES = ("default", "nominal", "in-situ", "fitted")
+SOURCES = ("default", "nominal", "in-situ")
 _LEAST_MOVING = 100   # pixels: with fewer, static pixels decide
 _ALLOWED_STATIC = 1.2  # largest static error of a chosen method, over the least one
 
@@ -98,6 +98,14 @@ def trials() -> dict[str, Trial]:
     return found
 
 
+class Try(NamedTuple):
+    """Thresholds with which methods are scored: their origin, and options of `fuse`."""
+
+    source: str
+    thresholds: tuple[float, float] | None
+    options: Mapping[str, Any]
+
+
 @dataclass(frozen=True)
 class Row:
     """A method, the origin of its thresholds, and its scores by class.
@@ -139,22 +147,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     with opened(args) as recording:
         halves = both_halves(
             recording, start_of(recording) + round(args.seconds * 1e6))
-        tries = [_tries(args.thresholds, calibration, one) for one in halves]
-        rows = [_pooled(pair)
-                for pair in zip(*map(_simple, halves, tries), strict=True)]
-        asked = [
-            (name, pair) for name in _possible(known, args.methods, recording)
-            for pair in (zip(*tries, strict=True) if known[name].thresholds else
-                         [(("", {"thresholds": None}),) * len(halves)])]
-        for name, pair in progress(asked, len(asked), "methods"):
-            rows.append(_pooled([_predicted(one, name, known[name], *each)
-                                 for one, each in zip(halves, pair, strict=True)]))
+        camera = Fusion(halves[0].kept, calibration=calibration).camera
+        told = {name: float(np.median(getattr(camera, name))) for name in camera.parts
+                if name not in ("layout", "model")}
+        tries = _tries(args.thresholds, calibration, told)
+        rows = [_pooled(pair) for pair in zip(
+            *(_simple(one, tries) for one in halves), strict=True)]
+        asked = [(name, each) for name in _possible(known, args.methods, recording)
+                 for each in (tries if known[name].thresholds else [Try("", None, {})])]
+        for name, each in progress(asked, len(asked), "methods"):
+            rows.append(_pooled([_predicted(one, name, known[name], each)
+                                 for one in halves]))
         polarized = recording.info.layout is not None
-        camera = Fusion(recording, calibration=calibration).camera
-    told = {name: getattr(camera, name) for name in camera.parts}
     advice = _advice(rows, args.file, polarized=polarized)
-    summary = {**_summary(args, halves, rows, advice), "camera": {
-        name: value for name, value in told.items() if isinstance(value, float)}}
+    summary = {**_summary(args, halves, rows, advice), "camera": told}
     if args.json:
         print(json.dumps(summary, indent=2))
     else:
@@ -166,18 +172,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _predicted(
-    left_out: LeftOutFrames, name: str, trial: Trial, source: str,
-    options: dict[str, Any],
-) -> Row:
+def _predicted(left_out: LeftOutFrames, name: str, trial: Trial, one: Try) -> Row:
     """Return the row of a method on one half of the frames."""
-    return Row(name, source, _pair(options), left_out.score(
-        predicted(left_out, **trial.options, **options), relative=trial.relative),
-        trial)
+    return Row(name, one.source, one.thresholds, left_out.score(predicted(
+        left_out, **trial.options, **one.options), relative=trial.relative), trial)
 
 
 def _pooled(rows: Sequence[Row]) -> Row:
-    """Return the row of all frames; fitted thresholds are those of the first half."""
+    """Return the row of all frames."""
     return dataclasses.replace(rows[0], scores=pooled(row.scores for row in rows))
 
 
@@ -194,9 +196,10 @@ def _parser(known: Mapping[str, Trial]) -> argparse.ArgumentParser:
              "that had arrived, as live; default: all that the recording supports, "
              f"but {', '.join(slow)}")
     parser.add_argument(
-        "--thresholds", nargs="+", type=_source, default=list(SOURCES), metavar="T",
-        help=f"thresholds from {', '.join(SOURCES)} (by regression on the frames), or "
-             "ON,OFF in natural-log units; default: all of these")
+        "--thresholds", nargs="+", type=_source, default=["default", "in-situ"],
+        metavar="T",
+        help=f"thresholds from {', '.join(SOURCES)}, or ON,OFF in natural-log units; "
+             "default: default in-situ")
     parser.add_argument(
         "--calibration", type=Path, metavar="NPZ",
         help="calibration of this camera, whose thresholds are tried too")
@@ -230,46 +233,35 @@ def _source(text: str) -> str | tuple[float, float]:
 
 def _tries(
     sources: Sequence[str | tuple[float, float]], calibration: Calibration | None,
-    left_out: LeftOutFrames,
-) -> list[tuple[str, dict[str, Any]]]:
-    """Return the origins of thresholds to try, each with the options of fuse."""
-    tries: list[tuple[str, dict[str, Any]]] = []
+    learned: Mapping[str, float],
+) -> list[Try]:
+    """Return the thresholds to try; in situ, their means are those of `learned`."""
+    tries = []
+    pairs = {"nominal": NOMINAL_THRESHOLDS}
+    if "theta_on" in learned:
+        pairs["in-situ"] = learned["theta_on"], learned["theta_off"]
     for source in sources:
-        if source != "fitted":
-            name = source if isinstance(source, str) else "given"
-            tries.append((name, {
-                "thresholds": None if source == "default" else source}))
-        elif left_out.thresholds is not None:
-            tries.append(("fitted", {"thresholds": left_out.thresholds}))
-    if calibration is not None:
-        tries = [(name, {**options, "calibration": calibration})
-                 for name, options in tries]
-        if calibration.theta_on is not None:
-            tries.append(("calibration", {
-                "thresholds": "calibration", "calibration": calibration}))
-    if not tries:
-        raise UsageError("thresholds cannot be fitted: too few pixels move")
+        options = {"thresholds": None if source == "default" else source,
+                   "calibration": calibration}
+        tries.append(Try(source, pairs.get(source), options) if isinstance(source, str)
+                     else Try("given", source, options))
+    if calibration is not None and calibration.theta_on is not None:
+        tries.append(Try("calibration", None, {
+            "thresholds": "calibration", "calibration": calibration}))
     return tries
 
 
-def _pair(options: dict[str, Any]) -> tuple[float, float] | None:
-    value = options["thresholds"]
-    return NOMINAL_THRESHOLDS if value == "nominal" else (
-        value if isinstance(value, tuple) else None)
-
-
-def _simple(
-    left_out: LeftOutFrames, tries: Sequence[tuple[str, dict[str, Any]]],
-) -> list[Row]:
+def _simple(left_out: LeftOutFrames, tries: Sequence[Try]) -> list[Row]:
     rows: dict[str, Row] = {}
-    for source, options in tries:
-        pair = _pair(options)
-        for name, guesses in left_out.simple(pair or NOMINAL_THRESHOLDS).items():
-            if pair is None and "events" in name:
-                continue
-            said, used = (source, pair) if "events" in name else ("", None)
-            row = Row(name, said, used, left_out.score(guesses))
-            rows.setdefault(row.name, row)
+    for one in tries:
+        guessed = left_out.simple(one.thresholds or NOMINAL_THRESHOLDS)
+        for name, guesses in guessed.items():
+            row = Row(name, "", None, ())
+            if "events" in name:
+                row = Row(name, one.source, one.thresholds, ())
+            if row.name not in rows and (one.thresholds or "events" not in name):
+                rows[row.name] = dataclasses.replace(
+                    row, scores=left_out.score(guesses))
     return sorted(rows.values(), key=lambda row: "events" in row.method)
 
 
@@ -348,11 +340,8 @@ def _options(row: Row, trial: Trial) -> str:
 
 
 def _table(halves: Sequence[LeftOutFrames], rows: Sequence[Row]) -> list[str]:
-    fitted = halves[0].thresholds
     width = max(len(row.name) for row in rows)
-    lines = [f"{_count(halves)} frames left out; thresholds fitted to the "
-             "others: " + ("too little moves" if fitted is None
-                           else "ON {:.3f}, OFF {:.3f}".format(*fitted)), "",
+    lines = [f"{_count(halves)} frames left out", "",
              f"{'error, part within one sigma':<{width}}  "
              + "".join(f"{kind:>16}" for kind in CLASSES)]
     for row in rows:
@@ -376,7 +365,7 @@ def _summary(
     return {
         "pdavis_cv": __version__, "source": str(args.file),
         "frames_left_out": _count(halves),
-        "thresholds_fitted": halves[0].thresholds, "advice": list(advice),
+        "advice": list(advice),
         "rows": [{"method": row.method, "thresholds_from": row.source,
                   "thresholds": row.thresholds,
                   "scores": {score.kind: {

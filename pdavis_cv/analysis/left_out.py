@@ -42,7 +42,6 @@ MOVING = 3         # events within NEAR_US of the frame: less may be noise
 BRIGHT_DN = 200    # a fifth of full scale
 LEAST_DN = 8       # below it, the logarithm of 10-bit DN is mostly noise
 _NOISE_BINS = 8    # of equal numbers of pixels; noise of frames depends on DN
-_LEAST_MOVING = 100  # pixels without which thresholds are not fitted
 _SAMPLES = 5       # of the light in an exposure, by the midpoint rule
 _SHORT_MS = 1.5    # an exposure that one sample describes: 9 degrees at 1000 RPM
 
@@ -116,10 +115,6 @@ class LeftOutFrames:
     sample_times_us : ndarray of int64, shape (M, N)
         Times within each exposure at which the light is to be predicted: one if it is
         shorter than 1.5 ms, else five at equal distances.
-    thresholds : (float, float) or None
-        Contrast thresholds (ON, OFF), natural-log units, from a least-squares fit of
-        the change between frames to the number of events, over moving pixels; None if
-        there are too few.
 
     Raises
     ------
@@ -150,7 +145,6 @@ class LeftOutFrames:
         self.kept: Recording = _Kept(recording, frozenset(self.times_us.tolist()))
         self._classes = [_classes(each) for each in self._places]
         self._noise = self._frame_noise()
-        self.thresholds = self._fitted()
 
     def _frame_noise(self) -> tuple[FloatArray, FloatArray]:
         """Return ln DN and the variance of ln of one frame where nothing moves."""
@@ -169,19 +163,6 @@ class LeftOutFrames:
         # The median is robust against motion without events.
         sigma = [1.4826 * np.median(np.abs(off[part])) for part in parts]
         return np.array([at[part].mean() for part in parts]), np.square(sigma)
-
-    def _fitted(self) -> tuple[float, float] | None:
-        counts, changes = [], []
-        for place, classes in zip(self._places, self._classes, strict=True):
-            moving = classes["moving"]
-            between = (place.events_before + place.events_after)[:, moving]
-            counts.append(between.T.astype(np.float64))
-            changes.append((_log(place.after) - _log(place.before))[moving])
-        count, change = np.concatenate(counts), np.concatenate(changes)
-        if len(change) < _LEAST_MOVING:
-            return None
-        (off, on), *_ = np.linalg.lstsq(count * (-1, 1), change)
-        return (float(on), float(off)) if min(on, off) > 0 else None
 
     def simple(self, thresholds: tuple[float, float]) -> Mapping[str, list[FloatArray]]:
         """Return model-free predictions of natural-log intensity.
