@@ -25,7 +25,7 @@
                                    known to 0.25 thresholds, an event's to 0.04 */
 #define OUTLIER 0.25f           /* residual that halves a row's weight, thresholds */
 
-/* 128 bytes without gaps; what an image needs are the first 64. */
+/* What an image needs: 64 bytes without gaps. */
 typedef struct {
     double t;                   /* of the last event, us; -inf before the first */
     float s1, s2;               /* fading sums of rows times their errors before they
@@ -35,18 +35,22 @@ typedef struct {
     float rest;                 /* ln of what changed and is no modulation; it fades */
     float a11, a12, a22, b1, b2, yy, n;         /* fading sums */
     float scale;                /* error of ln threshold */
+} turning_cell_t;
+
+/* The rest: as much. */
+typedef struct {
     float c, s;                 /* cos 2a, sin 2a at the last event */
-    float l11, l12, l22, m1, m2, zz;            /* lasting sums */
+    float l11, l12, l22, m1, m2, zz;            /* sums that do not fade */
     float n1, g1, h1, y1;       /* of ON rows */
     float n0, g0, h0, y0;       /* of OFF rows */
-} turning_cell_t;
+} turning_lasting_t;
 
 /* Events of as many pixels, with what their cells hold: s1 to n are then what rows add
    to sums that have faded by `fade`, `rest` to one that has faded by `slow`, and l11 to
    weight what they add to the lasting sums, the last four to those of its polarity. */
 typedef float turning_lanes_t[PDAVIS_EVENTS];
 typedef struct {
-    double half[PDAVIS_EVENTS];         /* of what 2a moved since the last event, turns */
+    double half[PDAVIS_EVENTS];         /* half of what 2a moved since then, turns */
     turning_lanes_t dt, c, s, c0, s0;   /* c0, s0: cos 2a, sin 2a at the last event */
     turning_lanes_t root;               /* exp of half the threshold */
     turning_lanes_t sign, same;         /* same: 1 if it is that of the last, else 0 */
@@ -94,8 +98,10 @@ PDAVIS_INLINE void turning_circle(double turns, float *cosine, float *sine)
                                               - z * 1.9515295891e-4f));
     c = 1.0f - 0.5f * z + z * z * (4.166664568298827e-2f + z * (
         -1.388731625493765e-3f + z * 2.443315711809948e-5f));
-    *sine = float_of(bits_of(pick(odd, c, s)) ^ (PDAVIS_SIGN & -(turn >> 1 & 1)));
-    *cosine = float_of(bits_of(pick(odd, s, c)) ^ (PDAVIS_SIGN & -((turn + 1) >> 1 & 1)));
+    z = pick(odd, c, s);
+    c = pick(odd, s, c);
+    *sine = turn & 2 ? -z : z;
+    *cosine = (turn + 1) & 2 ? -c : c;
 }
 
 /* The intensity in units of S0/2. */

@@ -20,6 +20,7 @@ cdef extern from "_turning.h" nogil:
     ctypedef struct cell_t "turning_cell_t":
         double t
         float s1, s2, on, off, sign, rest, a11, a12, a22, b1, b2, yy, n, scale
+    ctypedef struct lasting_t "turning_lasting_t":
         float c, s, l11, l12, l22, m1, m2, zz, n1, g1, h1, y1, n0, g0, h0, y0
     ctypedef double* doubles "double *"
     ctypedef float* floats "float *"
@@ -47,15 +48,15 @@ cdef extern from *:
     const float MOST_ROWS
 
 
-cdef inline void put(rows_t* rows, int i, const cell_t* cell, double t, double rate,
-                     float c, float s, bint up) noexcept nogil:
+cdef inline void put(rows_t* rows, int i, const cell_t* cell, const lasting_t* old,
+                     double t, double rate, float c, float s, bint up) noexcept nogil:
     """Take what the rows of an event depend on."""
     rows.half[i] = (t - cell.t) * rate
     rows.dt[i] = <float>(t - cell.t)
     rows.c[i] = c
     rows.s[i] = s
-    rows.c0[i] = cell.c
-    rows.s0[i] = cell.s
+    rows.c0[i] = old.c
+    rows.s0[i] = old.s
     rows.root[i] = cell.on if up else cell.off
     rows.sign[i] = 1 if up else -1
     rows.same[i] = rows.sign[i] == cell.sign
@@ -66,7 +67,8 @@ cdef inline void put(rows_t* rows, int i, const cell_t* cell, double t, double r
     rows.b2[i] = cell.b2
 
 
-cdef inline void add(cell_t* cell, const rows_t* rows, int i) noexcept nogil:
+cdef inline void add(cell_t* cell, lasting_t* old, const rows_t* rows, int i
+                     ) noexcept nogil:
     """Add the rows of an event that has a predecessor."""
     cdef float by = rows.fade[i]
     cell.s1 = cell.s1 * by + rows.s1[i]
@@ -79,31 +81,31 @@ cdef inline void add(cell_t* cell, const rows_t* rows, int i) noexcept nogil:
     cell.yy = cell.yy * by + rows.yy[i]
     cell.n = cell.n * by + 1
     cell.rest = cell.rest * rows.slow[i] + rows.rest[i]
-    if cell.n1 + cell.n0 >= MOST_ROWS:
+    if old.n1 + old.n0 >= MOST_ROWS:
         return
-    cell.l11 += rows.l11[i]
-    cell.l12 += rows.l12[i]
-    cell.l22 += rows.l22[i]
-    cell.m1 += rows.m1[i]
-    cell.m2 += rows.m2[i]
-    cell.zz += rows.zz[i]
+    old.l11 += rows.l11[i]
+    old.l12 += rows.l12[i]
+    old.l22 += rows.l22[i]
+    old.m1 += rows.m1[i]
+    old.m2 += rows.m2[i]
+    old.zz += rows.zz[i]
     if rows.sign[i] > 0:
-        cell.n1 += rows.weight[i]
-        cell.g1 += rows.wg[i]
-        cell.h1 += rows.wh[i]
-        cell.y1 += rows.wy[i]
+        old.n1 += rows.weight[i]
+        old.g1 += rows.wg[i]
+        old.h1 += rows.wh[i]
+        old.y1 += rows.wy[i]
     else:
-        cell.n0 += rows.weight[i]
-        cell.g0 += rows.wg[i]
-        cell.h0 += rows.wh[i]
-        cell.y0 += rows.wy[i]
+        old.n0 += rows.weight[i]
+        old.g0 += rows.wg[i]
+        old.h0 += rows.wh[i]
+        old.y0 += rows.wy[i]
 
 
 def turning_events(const event_t[::1] events not None, int64_t last,
-                   cell_t[:, ::1] cells not None,
+                   cell_t[:, ::1] cells not None, lasting_t[:, ::1] lasting not None,
                    const double[:, ::1] segments not None,
                    float tau, float share):
-    """Add events to the cells; return how many were taken.
+    """Add events to the cells and their lasting sums; return how many were taken.
 
     segments are rows (time, 2 a, its rate per us), of which the last that does not
     begin after an event holds, and the first before it.  Stops at the first event
@@ -118,10 +120,13 @@ def turning_events(const event_t[::1] events not None, int64_t last,
     cdef int j, count, other
     cdef bint again
     cdef cell_t* cell
+    cdef lasting_t* old
     cdef rows_t rows
     cdef Py_ssize_t[EVENTS] places
     if m < 1 or segments.shape[1] != 3:
         raise ValueError("turning_events: segments must be (m, 3), m at least 1")
+    if lasting.shape[0] != h or lasting.shape[1] != w:
+        raise ValueError("turning_events: lasting must be as many as cells")
     memset(&rows, 0, sizeof(rows))
     with nogil:
         while i < n:
@@ -148,7 +153,9 @@ def turning_events(const event_t[::1] events not None, int64_t last,
                 if (i + j + AHEAD < n and events[i + j + AHEAD].y < h
                         and events[i + j + AHEAD].x < w):
                     prefetch_all(
-                        &cells[events[i + j + AHEAD].y, events[i + j + AHEAD].x], 128)
+                        &cells[events[i + j + AHEAD].y, events[i + j + AHEAD].x], 64)
+                    prefetch_all(
+                        &lasting[events[i + j + AHEAD].y, events[i + j + AHEAD].x], 64)
                 if i + j == 0 or t != now:
                     now = t
                     while k + 1 < m and segments[k + 1, 0] <= t:
@@ -156,17 +163,18 @@ def turning_events(const event_t[::1] events not None, int64_t last,
                     rate = segments[k, 2]
                     circle((segments[k, 1] + rate * (t - segments[k, 0])) / TWO_PI,
                            &c, &s)
-                put(&rows, j, &cells[y, x], t, rate * (0.5 / TWO_PI), c, s,
-                    events[i + j].p == 1)
+                put(&rows, j, &cells[y, x], &lasting[y, x], t, rate * (0.5 / TWO_PI),
+                    c, s, events[i + j].p == 1)
                 count += 1
             turning_rows(&rows, per_tau, share)
             for j in range(count):
                 cell = &cells[0, 0] + places[j]
+                old = &lasting[0, 0] + places[j]
                 if cell.sign != 0:
-                    add(cell, &rows, j)
+                    add(cell, old, &rows, j)
                 cell.t = events[i + j].t
-                cell.c = rows.c[j]
-                cell.s = rows.s[j]
+                old.c = rows.c[j]
+                old.s = rows.s[j]
                 cell.sign = rows.sign[j]
             i += count
     return i

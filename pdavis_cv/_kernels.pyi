@@ -296,8 +296,8 @@ def texture_stokes(
     dolp_spread: float, aop: float, aop_spread: float,
 ) -> None: ...
 def turning_events(
-    events: NDArray[Any], last: int, cells: NDArray[Any], segments: _F64, tau: float,
-    share: float,
+    events: NDArray[Any], last: int, cells: NDArray[Any], lasting: NDArray[Any],
+    segments: _F64, tau: float, share: float,
 ) -> int: ...
 def turning_images(
     cells: NDArray[Any], t: float, tau: float, half_us: float, late: float,

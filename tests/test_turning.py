@@ -258,22 +258,24 @@ def test_events_taken_together_are_those_taken_one_by_one():
             segments=TurningAnalyser(rpm=600).segments())
         for at in range(0, 300, size):
             one.add_events(events[at:at + size])
-        cells.append(one._cells.tobytes())
+        cells.append(one._cells.tobytes() + one._lasting.tobytes())
     assert cells[0] == cells[1] == cells[2]
 
 
 def test_the_kernel_stops_at_the_first_bad_event(still):
     method = regression(still, learn=False)
-    cells = method._cells
+    cells, lasting = method._cells, method._lasting
     events = np.zeros(4, EVENT_DTYPE)
     events["t"] = 10, 20, 15, 30
     take = _kernels.turning_events
-    assert take(events, 0, cells, method.segments, 1e4, 1.0) == 2
+    assert take(events, 0, cells, lasting, method.segments, 1e4, 1.0) == 2
     events["t"], events["x"] = 40, (0, len(still.on), 0, 0)
-    assert take(events, 0, cells, method.segments, 1e4, 1.0) == 1
-    assert take(events[:0], 0, cells, method.segments, 1e4, 1.0) == 0
+    assert take(events, 0, cells, lasting, method.segments, 1e4, 1.0) == 1
+    assert take(events[:0], 0, cells, lasting, method.segments, 1e4, 1.0) == 0
     with pytest.raises(ValueError, match="segments must be"):
-        take(events, 0, cells, np.zeros((0, 3)), 1e4, 1.0)
+        take(events, 0, cells, lasting, np.zeros((0, 3)), 1e4, 1.0)
+    with pytest.raises(ValueError, match="lasting must be as many as cells"):
+        take(events, 0, cells, lasting[:, 1:], method.segments, 1e4, 1.0)
     planes = np.zeros((9, *cells.shape), np.float32)
     with pytest.raises(ValueError, match="planes must be those of cells"):
         _kernels.turning_images(

@@ -20,9 +20,10 @@ from pdavis_cv.turning import PulseClock
 Plane = NDArray[np.float32]
 
 _CELL = np.dtype([("t", "f8"), *((name, "f4") for name in (
-    "s1 s2 on off sign rest a11 a12 a22 b1 b2 yy n scale c s l11 l12 l22 m1 m2 zz "
-    "n1 g1 h1 y1 n0 g0 h0 y0").split())])
-"""As ``turning_cell_t`` of the kernel."""
+    "s1 s2 on off sign rest a11 a12 a22 b1 b2 yy n scale").split())])
+_LASTING = np.dtype([(name, "f4") for name in (
+    "c s l11 l12 l22 m1 m2 zz n1 g1 h1 y1 n0 g0 h0 y0").split()])
+"""As ``turning_cell_t`` and ``turning_lasting_t`` of the kernel."""
 
 _FIRST_SPREAD, _OWN_SPREAD = 0.3, 0.06
 """Errors of ln threshold of a pixel before and after the mean of all pixels is known:
@@ -126,7 +127,8 @@ class TurningRegression:
         self.lookahead_us = round(self._tau) if centred else 0
         self._late = _LATE[not centred]
         self._clock = StreamClock(self.shape)
-        self._cells = _aligned(self.shape)
+        self._cells = _aligned(self.shape, _CELL)
+        self._lasting = _aligned(self.shape, _LASTING)
         self._cells["t"] = -np.inf
         self._cells["scale"] = _OWN_SPREAD
         self._log_theta = np.log(theta).astype(np.float32)
@@ -167,8 +169,8 @@ class TurningRegression:
         if not len(events):
             return
         taken = _kernels.turning_events(
-            events, self._clock.last_us, self._cells, self.segments, self._tau,
-            1 / self._half_turns)
+            events, self._clock.last_us, self._cells, self._lasting, self.segments,
+            self._tau, 1 / self._half_turns)
         risen = int(np.count_nonzero(events["p"][:taken]))
         self._counts[0] += risen
         self._counts[1] += taken - risen
@@ -186,15 +188,17 @@ class TurningRegression:
         """Estimate all thresholds from what the pixels have seen."""
         self._looks += 1
         known = self.common_sigma <= _COMMON or self._sigma < _FIRST_SPREAD
-        seen = self._cells["n1"] + self._cells["n0"] >= _LEAST_LEARNT
+        seen = self._lasting["n1"] + self._lasting["n0"] >= _LEAST_LEARNT
         # NumPy would copy fields one by one.
-        whole = self._cells.view(f"V{_CELL.itemsize}")
-        cells = whole[seen].view(_CELL)
-        learned, told = _learned(cells, self._log_theta[:, seen], self._mean,
-                                 _OWN_SPREAD if known else _FIRST_SPREAD)
+        whole = self._lasting.view(f"V{_LASTING.itemsize}")
+        lasting = whole[seen].view(_LASTING)
+        learned, scale, told = _learned(lasting, self._log_theta[:, seen], self._mean,
+                                        _OWN_SPREAD if known else _FIRST_SPREAD)
+        whole[seen] = lasting.view(whole.dtype)
         self._log_theta[:, seen] = learned
-        cells["on"], cells["off"] = _exp(_exp(learned) / 2)
-        whole[seen] = cells.view(whole.dtype)
+        on, off = _exp(_exp(learned) / 2)
+        for name, values in (("on", on), ("off", off), ("scale", scale)):
+            self._cells[name][seen] = values
         on, off = learned
         size, ratio = self._mean.mean(), None
         if np.count_nonzero(told) >= _STILL_PIXELS:
@@ -250,19 +254,20 @@ class TurningRegression:
 
 
 def _learned(
-    cells: Records, log_theta: Plane, mean: NDArray[np.float64], spread: float,
-) -> tuple[Plane, NDArray[np.uint8]]:
+    lasting: Records, log_theta: Plane, mean: NDArray[np.float64], spread: float,
+) -> tuple[Plane, Plane, NDArray[np.uint8]]:
     """Estimate thresholds from pixels' lasting sums, and add the change to these.
 
-    The pixels `cells`, (N,), have enough rows; `log_theta`, float32 (2, N), are ln of
-    their thresholds, ON and OFF, `mean` those of the mean thresholds, and `spread` the
-    error of a single pixel around it.  Returns ln of the new ones and uint8 (N,): 1
-    where the light did not change but for the modulation, 2 where that is also strong
-    enough to tell the thresholds' mean, else 0.
+    The pixels, (N,), have enough rows; `log_theta`, float32 (2, N), are ln of their
+    thresholds, ON and OFF, `mean` those of the mean thresholds, and `spread` the error
+    of a single pixel around it.  Returns ln of the new ones; the error of their mean;
+    and uint8 (N,): 1 where the light did not change but for the modulation, 2 where
+    that is also strong enough to tell the thresholds' mean, else 0.
     """
-    n, y, g, h = (np.stack([cells[name + "1"], cells[name + "0"]]) for name in "nygh")
+    n, y, g, h = (np.stack([lasting[f"{name}1"], lasting[f"{name}0"]])
+                  for name in "nygh")
     m1, m2, zz, l11, l12, l22 = (
-        cells[name] for name in ("m1", "m2", "zz", "l11", "l12", "l22"))
+        lasting[name] for name in ("m1", "m2", "zz", "l11", "l12", "l22"))
     u = _exp(log_theta)                                 # steps of ln I
     u[1] *= -1
     off_mean = log_theta - mean[:, None].astype(np.float32)
@@ -296,17 +301,17 @@ def _learned(
         0.25 * variance * (f1 + f0 - 2 * both) / det, 0)))
     still = error <= n.sum(0) * _STILL**2 * u[0] * -u[1]
     strong = still & (q1 * q1 + q2 * q2 >= _STRONG**2) & (scale < 0.5 * spread)
-    cells["scale"] = np.where(strong, scale, spread)
+    scale = np.where(strong, scale, np.float32(spread))
     # Weak light tells their ratio only; their mean is that of all.
     shared = np.where(strong, 0, (0.5 * (step + off_mean)).sum(0))
     # Light that changed otherwise tells nothing.
     step = np.where(still, step - shared, -off_mean.clip(-_LONGEST_STEP, _LONGEST_STEP))
     add = u * step
-    cells["m1"] += (add * g).sum(0)
-    cells["m2"] += (add * h).sum(0)
-    cells["zz"] += (2 * add * y + add * add * n).sum(0)
-    cells["y1"], cells["y0"] = y + add * n
-    return log_theta + step, still.astype(np.uint8) + strong
+    lasting["m1"] += (add * g).sum(0)
+    lasting["m2"] += (add * h).sum(0)
+    lasting["zz"] += (2 * add * y + add * add * n).sum(0)
+    lasting["y1"], lasting["y0"] = y + add * n
+    return log_theta + step, scale, still.astype(np.uint8) + strong
 
 
 def _solved(
@@ -326,9 +331,10 @@ def _exp(x: NDArray[np.floating]) -> Plane:
     return out
 
 
-def _aligned(shape: tuple[int, int]) -> Records:
-    """Return cells of zeros, each in two cache lines."""
-    size = math.prod(shape) * _CELL.itemsize
-    memory = np.zeros(size + 63, np.uint8)
+def _aligned(shape: tuple[int, int], dtype: np.dtype[np.void]) -> Records:
+    """Return an array of zeros, each element in a cache line."""
+    size = math.prod(shape) * dtype.itemsize
+    memory = np.empty(size + 63, np.uint8)  # of large pages, which zeros() has not
+    memory.fill(0)
     first = -memory.ctypes.data % 64
-    return memory[first:first + size].view(_CELL).reshape(shape)
+    return memory[first:first + size].view(dtype).reshape(shape)
