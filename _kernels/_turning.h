@@ -30,11 +30,11 @@ typedef struct {
     double t;                   /* of the last event, us; -inf before the first */
     float s1, s2;               /* fading sums of rows times their errors before they
                                    were added */
+    float a11, a12, a22, b1, b2, yy, n;         /* fading sums */
+    float scale;                /* error of ln threshold */
     float on, off;              /* exp of half the thresholds */
     float sign;                 /* of the last event */
     float rest;                 /* ln of what changed and is no modulation; it fades */
-    float a11, a12, a22, b1, b2, yy, n;         /* fading sums */
-    float scale;                /* error of ln threshold */
 } turning_cell_t;
 
 /* The rest: as much. */
@@ -45,17 +45,17 @@ typedef struct {
     float n0, g0, h0, y0;       /* of OFF rows */
 } turning_lasting_t;
 
-/* Events of as many pixels, with what their cells hold: s1 to n are then what rows add
-   to sums that have faded by `fade`, `rest` to one that has faded by `slow`, and l11 to
-   weight what they add to the lasting sums, the last four to those of its polarity. */
+/* Events of as many pixels, with what their cells hold: a11 to b2 in `sums`.  Then
+   `sums`, from s1 to yy, are what rows add to those that have faded by `fade`, `rest` to
+   one that has faded by `slow`, `lasting` to l11 to zz, `own` to those of its polarity. */
+enum { S1, S2, A11, A12, A22, B1, B2, YY, SUMS, LASTING = 6, OWN = 4 };
 typedef float turning_lanes_t[PDAVIS_EVENTS];
 typedef struct {
     double half[PDAVIS_EVENTS];         /* half of what 2a moved since then, turns */
     turning_lanes_t dt, c, s, c0, s0;   /* c0, s0: cos 2a, sin 2a at the last event */
     turning_lanes_t root;               /* exp of half the threshold */
     turning_lanes_t sign, same;         /* same: 1 if it is that of the last, else 0 */
-    turning_lanes_t fade, slow, rest, s1, s2, a11, a12, a22, b1, b2, yy;
-    turning_lanes_t l11, l12, l22, m1, m2, zz, weight, wg, wh, wy;
+    turning_lanes_t fade, slow, rest, sums[SUMS], lasting[LASTING], own[OWN];
 } turning_rows_t;
 
 /* A time, us; half a turn, us; rate of the slower decay per us; part of the drift of q
@@ -123,9 +123,9 @@ PDAVIS_CLONES PDAVIS_UNUSED static void turning_rows(
         float y = e->sign[i] * step, ridge = step * (ROW_FLOOR / WIDE);
         float q1, q2, here, before, cm, sm, g, h, half, w, wg, wh, error, most, k;
         ridge *= ridge;
-        turning_solve(e->a11[i] * fade + ridge, e->a12[i] * fade,
-                      e->a22[i] * fade + ridge, e->b1[i] * fade, e->b2[i] * fade,
-                      &q1, &q2);
+        turning_solve(e->sums[A11][i] * fade + ridge, e->sums[A12][i] * fade,
+                      e->sums[A22][i] * fade + ridge, e->sums[B1][i] * fade,
+                      e->sums[B2][i] * fade, &q1, &q2);
         here = turning_light(q1, q2, e->c[i], e->s[i]);
         before = turning_light(q1, q2, c0, s0);
         /* The middle of the gap: half the step, none where the polarity reversed. */
@@ -139,12 +139,12 @@ PDAVIS_CLONES PDAVIS_UNUSED static void turning_rows(
         half *= 2.0f;
         wg = w * g;
         wh = w * h;
-        e->a11[i] = wg * g;
-        e->a12[i] = wg * h;
-        e->a22[i] = wh * h;
-        e->b1[i] = wg * half;
-        e->b2[i] = wh * half;
-        e->yy[i] = w * half * half;
+        e->sums[A11][i] = wg * g;
+        e->sums[A12][i] = wg * h;
+        e->sums[A22][i] = wh * h;
+        e->sums[B1][i] = wg * half;
+        e->sums[B2][i] = wh * half;
+        e->sums[YY][i] = w * half * half;
         /* The event itself, as exp(-ln step / 2) I - exp(ln step / 2) I before. */
         w = 1.0f / sqrtf(here * before);
         most = e->sign[i] > 0.0f ? root : inverse;
@@ -154,14 +154,14 @@ PDAVIS_CLONES PDAVIS_UNUSED static void turning_rows(
         k = OUTLIER * y;
         y *= w;
         error = y - g * q1 - h * q2;
-        e->a11[i] += g * g;
-        e->a12[i] += g * h;
-        e->a22[i] += h * h;
-        e->b1[i] += g * y;
-        e->b2[i] += h * y;
-        e->yy[i] += y * y;
-        e->s1[i] = g * error;
-        e->s2[i] = h * error;
+        e->sums[A11][i] += g * g;
+        e->sums[A12][i] += g * h;
+        e->sums[A22][i] += h * h;
+        e->sums[B1][i] += g * y;
+        e->sums[B2][i] += h * y;
+        e->sums[YY][i] += y * y;
+        e->sums[S1][i] = g * error;
+        e->sums[S2][i] = h * error;
         most = 2.0f * step;
         w = error < most ? error : most;
         e->rest[i] = w > -most ? w : -most;
@@ -170,16 +170,16 @@ PDAVIS_CLONES PDAVIS_UNUSED static void turning_rows(
         k = 1.0f / (1.0f + k * k);
         wg = k * g;
         wh = k * h;
-        e->l11[i] = wg * g;
-        e->l12[i] = wg * h;
-        e->l22[i] = wh * h;
-        e->m1[i] = wg * y;
-        e->m2[i] = wh * y;
-        e->zz[i] = k * y * y;
-        e->weight[i] = k;
-        e->wg[i] = wg;
-        e->wh[i] = wh;
-        e->wy[i] = k * y;
+        e->lasting[0][i] = wg * g;
+        e->lasting[1][i] = wg * h;
+        e->lasting[2][i] = wh * h;
+        e->lasting[3][i] = wg * y;
+        e->lasting[4][i] = wh * y;
+        e->lasting[5][i] = k * y * y;
+        e->own[0][i] = k;
+        e->own[1][i] = wg;
+        e->own[2][i] = wh;
+        e->own[3][i] = k * y;
         e->fade[i] = fade;
         e->slow[i] = slow;
     }
@@ -193,7 +193,7 @@ PDAVIS_INLINE void turning_block(
     float *restrict i90, float *restrict i135, float *restrict aop,
     float *restrict dolp, float *restrict across, unsigned char *restrict valid)
 {
-    enum { S1, S2, ON, OFF, SIGN, REST, A11, A12, A22, B1, B2, YY, N, SCALE, FIELDS };
+    enum { N = SUMS, SCALE, ON, OFF, SIGN, REST, FIELDS };
     float f[FIELDS][PDAVIS_PIXELS], age[PDAVIS_PIXELS];
     ptrdiff_t i;
     int k;

@@ -13,22 +13,22 @@ from _kernels._types cimport event_t
 
 cdef extern from "_prefetch.h" nogil:
     const Py_ssize_t AHEAD "PDAVIS_AHEAD"
-    void prefetch_all "PDAVIS_PREFETCH_ALL"(const void*, size_t)
+    void prefetch "PDAVIS_PREFETCH"(const void*)
 
 cdef extern from "_turning.h" nogil:
-    const int EVENTS "PDAVIS_EVENTS"
+    const int EVENTS "PDAVIS_EVENTS", A11, SUMS, LASTING, OWN
     ctypedef struct cell_t "turning_cell_t":
         double t
-        float s1, s2, on, off, sign, rest, a11, a12, a22, b1, b2, yy, n, scale
+        float s1, s2, a11, a12, a22, b1, b2, yy, n, scale, on, off, sign, rest
     ctypedef struct lasting_t "turning_lasting_t":
         float c, s, l11, l12, l22, m1, m2, zz, n1, g1, h1, y1, n0, g0, h0, y0
-    ctypedef double* doubles "double *"
-    ctypedef float* floats "float *"
+    ctypedef float* lanes_t "float *"
     ctypedef struct rows_t "turning_rows_t":
-        doubles half
-        floats dt, c, s, c0, s0, root, sign, same
-        floats fade, slow, rest, s1, s2, a11, a12, a22, b1, b2, yy
-        floats l11, l12, l22, m1, m2, zz, wg, wh, wy, weight
+        double* half
+        lanes_t dt, c, s, c0, s0, root, sign, same, fade, slow, rest
+        lanes_t* sums
+        lanes_t* lasting
+        lanes_t* own
     ctypedef struct reading_t "turning_read_t":
         double t
         float half_us, decay, late, common
@@ -51,6 +51,7 @@ cdef extern from *:
 cdef inline void put(rows_t* rows, int i, const cell_t* cell, const lasting_t* old,
                      double t, double rate, float c, float s, bint up) noexcept nogil:
     """Take what the rows of an event depend on."""
+    cdef int k
     rows.half[i] = (t - cell.t) * rate
     rows.dt[i] = <float>(t - cell.t)
     rows.c[i] = c
@@ -60,45 +61,25 @@ cdef inline void put(rows_t* rows, int i, const cell_t* cell, const lasting_t* o
     rows.root[i] = cell.on if up else cell.off
     rows.sign[i] = 1 if up else -1
     rows.same[i] = rows.sign[i] == cell.sign
-    rows.a11[i] = cell.a11
-    rows.a12[i] = cell.a12
-    rows.a22[i] = cell.a22
-    rows.b1[i] = cell.b1
-    rows.b2[i] = cell.b2
+    for k in range(A11, SUMS):
+        rows.sums[k][i] = (&cell.s1)[k]
 
 
 cdef inline void add(cell_t* cell, lasting_t* old, const rows_t* rows, int i
                      ) noexcept nogil:
     """Add the rows of an event that has a predecessor."""
+    cdef float* own = &old.n1 if rows.sign[i] > 0 else &old.n0
     cdef float by = rows.fade[i]
-    cell.s1 = cell.s1 * by + rows.s1[i]
-    cell.s2 = cell.s2 * by + rows.s2[i]
-    cell.a11 = cell.a11 * by + rows.a11[i]
-    cell.a12 = cell.a12 * by + rows.a12[i]
-    cell.a22 = cell.a22 * by + rows.a22[i]
-    cell.b1 = cell.b1 * by + rows.b1[i]
-    cell.b2 = cell.b2 * by + rows.b2[i]
-    cell.yy = cell.yy * by + rows.yy[i]
+    cdef int k
+    for k in range(SUMS):
+        (&cell.s1)[k] = (&cell.s1)[k] * by + rows.sums[k][i]
     cell.n = cell.n * by + 1
     cell.rest = cell.rest * rows.slow[i] + rows.rest[i]
-    if old.n1 + old.n0 >= MOST_ROWS:
-        return
-    old.l11 += rows.l11[i]
-    old.l12 += rows.l12[i]
-    old.l22 += rows.l22[i]
-    old.m1 += rows.m1[i]
-    old.m2 += rows.m2[i]
-    old.zz += rows.zz[i]
-    if rows.sign[i] > 0:
-        old.n1 += rows.weight[i]
-        old.g1 += rows.wg[i]
-        old.h1 += rows.wh[i]
-        old.y1 += rows.wy[i]
-    else:
-        old.n0 += rows.weight[i]
-        old.g0 += rows.wg[i]
-        old.h0 += rows.wh[i]
-        old.y0 += rows.wy[i]
+    if old.n1 + old.n0 < MOST_ROWS:
+        for k in range(LASTING):
+            (&old.l11)[k] += rows.lasting[k][i]
+        for k in range(OWN):
+            own[k] += rows.own[k][i]
 
 
 def turning_events(const event_t[::1] events not None, int64_t last,
@@ -152,10 +133,9 @@ def turning_events(const event_t[::1] events not None, int64_t last,
                 last = t
                 if (i + j + AHEAD < n and events[i + j + AHEAD].y < h
                         and events[i + j + AHEAD].x < w):
-                    prefetch_all(
-                        &cells[events[i + j + AHEAD].y, events[i + j + AHEAD].x], 64)
-                    prefetch_all(
-                        &lasting[events[i + j + AHEAD].y, events[i + j + AHEAD].x], 64)
+                    at = events[i + j + AHEAD].y * w + events[i + j + AHEAD].x
+                    prefetch(&cells[0, 0] + at)
+                    prefetch(&lasting[0, 0] + at)
                 if i + j == 0 or t != now:
                     now = t
                     while k + 1 < m and segments[k + 1, 0] <= t:

@@ -20,7 +20,7 @@ from pdavis_cv.turning import PulseClock
 Plane = NDArray[np.float32]
 
 _CELL = np.dtype([("t", "f8"), *((name, "f4") for name in (
-    "s1 s2 on off sign rest a11 a12 a22 b1 b2 yy n scale").split())])
+    "s1 s2 a11 a12 a22 b1 b2 yy n scale on off sign rest").split())])
 _LASTING = np.dtype([(name, "f4") for name in (
     "c s l11 l12 l22 m1 m2 zz n1 g1 h1 y1 n0 g0 h0 y0").split()])
 """As ``turning_cell_t`` and ``turning_lasting_t`` of the kernel."""
