@@ -46,6 +46,10 @@ _HOMES = {name: module for module, names in _MODULES.items() for name in names.s
 __all__ = sorted(_HOMES)
 
 
+def __dir__():
+    return __all__
+
+
 def __getattr__(name):
     if name not in _HOMES:
         raise AttributeError(f"pdavis_cv._kernels has no {name!r}")
