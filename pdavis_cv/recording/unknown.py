@@ -13,13 +13,7 @@ from pdavis_cv.recording.text_form import PNM
 
 
 def format_with(options: SourceOptions, path: Path, start: bytes) -> Format:
-    """Return the format of a file, given what the caller says of it.
-
-    Raises
-    ------
-    RecordingError
-        If it is not a recording.
-    """
+    """Return the format by what the caller says of the file; RecordingError if none."""
     if _is_text(start):
         if options.columns is None:     # never an image, whatever the layout
             raise _not_a_recording(path, start)
