@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -222,13 +223,24 @@ def test_a_black_level_is_missing_in_frames_not_in_light():
 def test_a_black_level_found_before_stays_without_evidence_against_it():
     sample = sampled(Camera.preset(
         "typical", seed=1303, size=SIZE, aps={"black_level_dn": 30.0}), 60, 0.5, 0.4)
-    alone = learn(sample, TOLD, 0).model
-    found = learn(sample, TOLD, 0, alone.replace(black=1.5)).model
-    assert alone.black == 0
-    assert found.black > 0.3
+    alone = learn(sample, TOLD, 0)
+    before = replace(alone, model=alone.model.replace(black=1.5))
+    assert alone.model.black == 0
+    assert learn(sample, TOLD, 0, before).model.black > 0.3
     # None is there: it goes again.
     sample = sampled(of(1304), 200, 1.0)
-    assert learn(sample, TOLD, 0, alone.replace(black=1.5)).model.black < 0.1
+    assert learn(sample, TOLD, 0, before).model.black < 0.1
+
+
+def test_a_clock_offset_found_before_stays_without_evidence_against_it():
+    sample = sampled(Camera.preset("typical", seed=1303, size=SIZE), 60, 0.3, 0.5)
+    alone = learn(sample, TOLD, 0)
+    before = replace(alone, clock_offset_us=-3000.0)
+    assert alone.clock_offset_us == 0
+    assert -3000 < learn(sample, TOLD, 0, before).clock_offset_us < -1000
+    # None is there: it goes again.
+    sample = sampled(Camera.preset("nominal", seed=1304, size=SIZE), 200, 1.0)
+    assert learn(sample, TOLD, 0, before).clock_offset_us == 0
 
 
 def test_a_known_clock_offset_is_used_and_not_learned():

@@ -158,8 +158,8 @@ class Learning:
         spread = ratio_spread(sample, nominal) if "ratio_sigma" in wanted else None
         pixels = None
         if self.uses_frames:
-            known = None if before is None else before.parameters.get("model")
-            pixels = learn(sample, self._priors, self._lookahead_us, known)
+            pixels = learn(sample, self._priors, self._lookahead_us,
+                           None if before is None else before.pixels)
         scale = None
         stated = self._priors.theta_sigma < _NOMINAL_SIGMA
         if "event_scale" in wanted or (

@@ -7,10 +7,10 @@ from typing import Any
 from pdavis_cv._types import State
 from pdavis_cv.fusion.learning import Learned, Learning
 
-FIRST_LOOK_S = 0.125
+FIRST_LOOK_S = 0.1
 """Time of the first estimate from a passing stream, in s of stream time after the first
-frame; the next ones follow at twice, four times ... that.  Engineering choice: three
-or four frames of the paper's cameras."""
+frame; the next ones follow at 1.4 times, twice, 2.8 times ... that.  Engineering
+choice: two or three frames of the paper's cameras."""
 
 _DELAY = 1 / 8
 """An estimate from the first T seconds is applied after T / 8 more, as it is computed
@@ -71,7 +71,7 @@ class OnlineLearning:
         assert self._start_us is not None
         while True:
             self.next_us = self._start_us + round(
-                1e6 * FIRST_LOOK_S * 2.0 ** self._looks)
+                1e6 * FIRST_LOOK_S * 2.0 ** (self._looks / 2))
             if self.next_us >= t_us:
                 return
             self._looks += 1

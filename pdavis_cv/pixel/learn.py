@@ -204,7 +204,7 @@ def prior_model(priors: Priors, lookahead_us: int) -> PixelModel:
 
 def learn(
     sample: PixelSample, priors: Priors, lookahead_us: int,
-    before: PixelModel | None = None,
+    before: LearnedPixels | None = None,
 ) -> LearnedPixels:
     """Learn a camera from a window of its stream.
 
@@ -214,8 +214,8 @@ def learn(
     priors : Priors
     lookahead_us : int
         How much is known beyond the time of an image.
-    before : PixelModel, optional
-        What less of the stream told: a black level that it has needs evidence to go.
+    before : LearnedPixels, optional
+        What less of it told: a black level and a clock offset need evidence to go.
 
     Returns
     -------
@@ -235,7 +235,7 @@ def learn(
     if pairs.whole.mean() > LEAST_WHOLE:
         pairs = pairs.part(pairs.whole)
     fit = _with(fit, dead_s=dead_time(data))
-    fit = _fitted(data, pairs, priors, fit, 0.0 if before is None else before.black)
+    fit = _fitted(data, pairs, priors, fit, before)
     fit = _with(fit, thresholds=fit.model.theta)
     past = _past(data, fit.model)
     model = learned_silences(data, past, fit.model.like(prior), lookahead_us)
@@ -265,12 +265,17 @@ def _past(data: Sampled, model: PixelModel) -> NDArray[np.void]:
 
 
 def _fitted(
-    data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit, black: float,
+    data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit,
+    before: LearnedPixels | None,
 ) -> _Fit:
     """Return the likeliest state of the fit, of several starts and models.
 
-    Each number moves from what was told only if the posterior is clearly better.
+    Each number moves from what was told only if the posterior is clearly better, and
+    back from what was found before only if that is clearly worse.
     """
+    told = fit.shift_us
+    black, clock_us = (0.0, told) if before is None else (
+        before.model.black, before.clock_offset_us)
     every, long = pairs, 1e3 * float(pairs.ms.max()) > SHORT_US
     pairs = thinned(pairs, MOST_SEARCHED[long])
     few = thinned(pairs, MOST_TRIED)
@@ -287,7 +292,7 @@ def _fitted(
     first = tried(fit, (), 3)
     numbers = _numbers(priors, _mean_gap(data, pairs, first), pairs)
     starts = [tried(_changed(fit, shift_us=float(start)), (), 2, few)
-              for start in STARTS_US] if "shift" in numbers else []
+              for start in {*STARTS_US, clock_us}] if "shift" in numbers else []
     starts.sort(key=lambda one: one.per_row)
     apart = [one for one in starts              # of another minimum
              if abs(one.shift_us - starts[0].shift_us) > 3000]
@@ -303,15 +308,17 @@ def _fitted(
     if slow.cost < best.cost - EVIDENCE and _usual(priors, slow.model, light, 0):
         best = slow
     # Frames see the sum of the clock's offset and the photoreceptors' lag.  That may be
-    # longer than usual by so much, at two sigmas: a smaller offset is not taken, unless
-    # there is known to be one.
-    told = first.shift_us
-    spare = 0.0 if told else _lag_us(priors.bandwidth, light) * math.expm1(
-        2 * priors.bandwidth_sigma[0])
-    for start in starts:
-        other = tried(start, clock)
-        if other.cost < best.cost - EVIDENCE and abs(other.shift_us - told) > spare:
-            best = other
+    # shorter or longer than usual by three sigmas: no such offset is taken, unless one
+    # is known.
+    usual = 0.0 if told else _lag_us(priors.bandwidth, light)
+    least, most = (told + usual * math.expm1(sigmas * priors.bandwidth_sigma[0])
+                   for sigmas in (-3, 3))
+    others = [one for one in (tried(start, clock) for start in starts)
+              if not least <= one.shift_us <= most]
+    other = min(others, key=lambda one: one.cost, default=best)
+    again = clock_us != told and abs(other.shift_us - clock_us) < 3000
+    if other.cost < best.cost - (-1 if again else 1) * EVIDENCE:
+        best = other
     used = clock if best.shift_us else lag
     other = tried(best, [*used, *law])
     if other.cost < best.cost - EVIDENCE and _usual(priors, other.model, light):
@@ -329,11 +336,10 @@ def _fitted(
         clearly = gain.sum() > enough * LOSS_OF_BLACK * sigma
         if clearly and other.cost < best.cost - enough * EVIDENCE_OF_BLACK:
             best = other
-    for rest in RESTS_S[1:]:
-        other = tried(_with(best, rest_s=rest), (), 2)
-        if other.per_row < best.per_row - BETTER_REST:
-            best = other
-    if abs(best.shift_us - told) < spare:
+    other = tried(_with(best, rest_s=RESTS_S[1]), (), 2)
+    if other.per_row < best.per_row - BETTER_REST:
+        best = other
+    if least <= best.shift_us <= most:
         best, used = _changed(best, shift_us=told), lag
     best = tried(best, used, among=every)
     sigmas = dict(_descended(data, pairs, priors, best, numbers, 1).sigmas)
@@ -427,14 +433,11 @@ def _numbers(priors: Priors, gap_us: float, pairs: Pairs) -> dict[str, _Number]:
 
 def _of_bandwidth(priors: Priors, i: int) -> _Number:
     """Return the logarithm of one of the two numbers of the bandwidth."""
-
-    def put(fit: _Fit, value: float) -> _Fit:
-        law = list(fit.model.bandwidth)
-        law[i] = math.exp(value)
-        return _with(fit, bandwidth=tuple(law))
-
-    return _Number(math.log(priors.bandwidth[i]), priors.bandwidth_sigma[i], 0.2, 0.7,
-                   lambda fit: math.log(fit.model.bandwidth[i]), put)
+    return _Number(
+        math.log(priors.bandwidth[i]), priors.bandwidth_sigma[i], 0.2, 0.7,
+        lambda f: math.log(f.model.bandwidth[i]),
+        lambda f, x: _with(f, bandwidth=(
+            *f.model.bandwidth[:i], math.exp(x), *f.model.bandwidth[i + 1:])))
 
 
 def _descended(
