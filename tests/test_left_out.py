@@ -137,33 +137,13 @@ def test_a_straight_line_is_predicted_by_interpolation_and_missed_by_holding():
     left_out = LeftOutFrames(recording_from_arrays(
         np.array([(1000, 0, 0, 1)], EVENT_DTYPE), frames(7, ramp), sensor_size=SHAPE,
         layout=Layout.PDAVIS))
-    guesses = left_out.simple((0.2, 0.2))
+    guesses = left_out.simple()
     linear = by_class(left_out.score(guesses["linear"]))
     held = by_class(left_out.score(guesses["held"]))
     assert linear["static, bright"].rmse < 1e-6
     # Half of the pixels rose by 2e-6 per us over 40 ms.
     assert held["static, bright"].bias == pytest.approx(-0.04, rel=1e-4)
     assert held["static, bright"].rmse == pytest.approx(0.08 / np.sqrt(2), rel=1e-4)
-
-
-def test_events_with_known_thresholds_predict_what_frames_do_not_show():
-    def log(t_us):
-        out = np.full(SHAPE, np.log(30.0))
-        for _, x, y, p in events[events["t"] <= t_us].tolist():
-            out[y, x] += ON if p else -OFF
-        return out
-
-    rng = np.random.default_rng(3)
-    events = np.zeros(4000, EVENT_DTYPE)
-    events["t"] = np.sort(rng.integers(0, 10 * FRAME_US, 4000))
-    events["y"], events["x"] = rng.integers(0, 8, 4000), rng.integers(0, 24, 4000)
-    events["p"] = rng.random(4000) < 0.6
-    left_out = LeftOutFrames(recording_from_arrays(
-        events, frames(9, log), sensor_size=SHAPE, layout=Layout.PDAVIS))
-    guesses = left_out.simple((ON, OFF))
-    for name in ("held + events", "linear + events"):
-        assert by_class(left_out.score(guesses[name]))["moving"].rmse < 1e-3
-    assert by_class(left_out.score(guesses["linear"]))["moving"].rmse > 0.1
 
 
 def test_an_honest_sigma_covers_two_thirds_and_the_frames_own_noise_is_allowed_for():
@@ -246,8 +226,7 @@ def test_too_little_is_refused():
 
 # Where pixels move, and at rest where it is bright; what was measured, and 5 %.
 REAL = {
-    "held": (0.809, 0.038), "linear": (0.594, 0.029), "held + events": (0.444, 0.034),
-    "linear + events": (0.371, 0.027), "cf": (0.377, 0.034),
+    "held": (0.809, 0.038), "linear": (0.594, 0.029), "cf": (0.377, 0.034),
     "kalman": (0.233, 0.027), "kalman causal": (0.287, 0.032),
     "kalman offline": (0.206, 0.026)}
 # The same of methods that are told nothing.
@@ -262,14 +241,14 @@ def davis(data_dir):
 
 
 @pytest.mark.parametrize("method", [
-    "held", "linear", "held + events", "linear + events", "cf", "kalman",
+    "held", "linear", "cf", "kalman",
     pytest.param("kalman causal", marks=pytest.mark.gate),
     pytest.param("kalman offline", marks=pytest.mark.gate)])
 def test_a_real_recording_is_predicted_as_well_as_before(davis, method):
     stated = 0.309, 0.368       # regression of the frames' changes on counts
     guesses = (score.predicted(
         davis, **score.trials()[method].options, thresholds=stated)
-        if method in score.trials() else davis.simple(stated)[method])
+        if method in score.trials() else davis.simple()[method])
     found = by_class(davis.score(guesses))
     moving, static = REAL[method]
     assert found["moving"].pixels == 5744
@@ -279,7 +258,7 @@ def test_a_real_recording_is_predicted_as_well_as_before(davis, method):
         assert 0.55 < found["moving"].coverage < 0.8
         for kind in ("static, bright", "static, dark"):
             assert found[kind].coverage > 0.55
-    if method in ("held", "linear", "held + events", "linear + events"):
+    if method in ("held", "linear"):
         assert found["moving"].rmse > 0.99 * moving
 
 
@@ -293,7 +272,7 @@ def test_without_a_hint_it_is_predicted_as_well_as_before(davis, method):
     assert found["static, bright"].rmse < 1.05 * static
     assert 0.55 < found["moving"].coverage < 0.8
     # At rest it is at least as good as what uses the same frames.
-    frames = davis.simple((0.2, 0.2))["held" if "causal" in method else "linear"]
+    frames = davis.simple()["held" if "causal" in method else "linear"]
     plain = by_class(davis.score(frames))
     for kind in ("static, bright", "static, dark"):
         assert found[kind].rmse < plain[kind].rmse

@@ -20,7 +20,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -98,14 +98,6 @@ def trials() -> dict[str, Trial]:
     return found
 
 
-class Try(NamedTuple):
-    """Thresholds with which methods are scored: their origin, and options of `fuse`."""
-
-    source: str
-    thresholds: tuple[float, float] | None
-    options: Mapping[str, Any]
-
-
 @dataclass(frozen=True)
 class Row:
     """A method, the origin of its thresholds, and its scores by class.
@@ -150,13 +142,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         camera = Fusion(halves[0].kept, calibration=calibration).camera
         told = {name: float(np.median(getattr(camera, name))) for name in camera.parts
                 if name not in ("layout", "model")}
-        tries = _tries(args.thresholds, calibration, told)
-        rows = [_pooled(pair) for pair in zip(
-            *(_simple(one, tries) for one in halves), strict=True)]
-        asked = [(name, each) for name in _possible(known, args.methods, recording)
-                 for each in (tries if known[name].thresholds else [Try("", None, {})])]
-        for name, each in progress(asked, len(asked), "methods"):
-            rows.append(_pooled([_predicted(one, name, known[name], each)
+        tries = _tries(args.thresholds, calibration)
+        rows = [_pooled(pair) for pair in zip(*([
+            Row(name, "", None, one.score(guesses))
+            for name, guesses in one.simple().items()] for one in halves), strict=True)]
+        asked = [(name, *each) for name in _possible(known, args.methods, recording)
+                 for each in (tries if known[name].thresholds else [("", {})])]
+        for name, source, options in progress(asked, len(asked), "methods"):
+            rows.append(_pooled([_predicted(one, name, known[name], source, options)
                                  for one in halves]))
         polarized = recording.info.layout is not None
     advice = _advice(rows, args.file, polarized=polarized)
@@ -172,10 +165,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _predicted(left_out: LeftOutFrames, name: str, trial: Trial, one: Try) -> Row:
+def _predicted(
+    left_out: LeftOutFrames, name: str, trial: Trial, source: str,
+    options: Mapping[str, Any],
+) -> Row:
     """Return the row of a method on one half of the frames."""
-    return Row(name, one.source, one.thresholds, left_out.score(predicted(
-        left_out, **trial.options, **one.options), relative=trial.relative), trial)
+    stated = NOMINAL_THRESHOLDS if source == "nominal" else options.get("thresholds")
+    return Row(name, source, None if isinstance(stated, str) else stated,
+               left_out.score(predicted(left_out, **trial.options, **options),
+                              relative=trial.relative), trial)
 
 
 def _pooled(rows: Sequence[Row]) -> Row:
@@ -233,36 +231,15 @@ def _source(text: str) -> str | tuple[float, float]:
 
 def _tries(
     sources: Sequence[str | tuple[float, float]], calibration: Calibration | None,
-    learned: Mapping[str, float],
-) -> list[Try]:
-    """Return the thresholds to try; in situ, their means are those of `learned`."""
-    tries = []
-    pairs = {"nominal": NOMINAL_THRESHOLDS}
-    if "theta_on" in learned:
-        pairs["in-situ"] = learned["theta_on"], learned["theta_off"]
-    for source in sources:
-        options = {"thresholds": None if source == "default" else source,
-                   "calibration": calibration}
-        tries.append(Try(source, pairs.get(source), options) if isinstance(source, str)
-                     else Try("given", source, options))
+) -> list[tuple[str, dict[str, Any]]]:
+    """Return the origins of thresholds to try, each with the options of fuse."""
+    tries = [(one if isinstance(one, str) else "given", {
+        "thresholds": None if one == "default" else one, "calibration": calibration})
+        for one in sources]
     if calibration is not None and calibration.theta_on is not None:
-        tries.append(Try("calibration", None, {
+        tries.append(("calibration", {
             "thresholds": "calibration", "calibration": calibration}))
     return tries
-
-
-def _simple(left_out: LeftOutFrames, tries: Sequence[Try]) -> list[Row]:
-    rows: dict[str, Row] = {}
-    for one in tries:
-        guessed = left_out.simple(one.thresholds or NOMINAL_THRESHOLDS)
-        for name, guesses in guessed.items():
-            row = Row(name, "", None, ())
-            if "events" in name:
-                row = Row(name, one.source, one.thresholds, ())
-            if row.name not in rows and (one.thresholds or "events" not in name):
-                rows[row.name] = dataclasses.replace(
-                    row, scores=left_out.score(guesses))
-    return sorted(rows.values(), key=lambda row: "events" in row.method)
 
 
 def suited(rows: Sequence[Row], *, causal: bool = False) -> Row:

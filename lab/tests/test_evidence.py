@@ -174,7 +174,7 @@ def test_frames_left_out_are_scored_as_pdavis_score_does(tmp_path):
     mine, kalman = real_rows(path, "left-out", methods)
     with pdavis_cv.open_recording(path) as again:
         theirs = {each.kind: each for each in pooled(
-            half.score(half.simple((0.2, 0.2))["linear"]) for half in (
+            half.score(half.simple()["linear"]) for half in (
                 LeftOutFrames(again, half=half) for half in HALVES))}
     assert mine.moving == pytest.approx(theirs["moving"].rmse, rel=1e-6)
     assert mine.in_cell == pytest.approx(theirs["moving, in cell"].rmse, rel=1e-6)

@@ -77,14 +77,12 @@ class PredictionScore:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """A left-out frame, its neighbours and the events between them."""
+    """A left-out frame, its neighbours, and the events around it."""
 
     frame: ApsFrame
     before: ApsFrame
     after: ApsFrame
-    events_before: NDArray[np.int32]  # (2, H, W), OFF and ON, from `before` on
-    events_after: NDArray[np.int32]   # until `after`
-    near: NDArray[np.int32]           # (H, W), events of both signs within NEAR_US
+    near: NDArray[np.int32]     # (H, W), events of both signs within NEAR_US
 
     @property
     def weight(self) -> float:
@@ -164,38 +162,17 @@ class LeftOutFrames:
         sigma = [1.4826 * np.median(np.abs(off[part])) for part in parts]
         return np.array([at[part].mean() for part in parts]), np.square(sigma)
 
-    def simple(self, thresholds: tuple[float, float]) -> Mapping[str, list[FloatArray]]:
-        """Return model-free predictions of natural-log intensity.
-
-        Parameters
-        ----------
-        thresholds : (float, float)
-            Change of log intensity per ON and per OFF event.
+    def simple(self) -> Mapping[str, list[FloatArray]]:
+        """Return predictions of natural-log intensity without events.
 
         Returns
         -------
         mapping of str to list of ndarray of float64, shape (H, W)
             ``"held"``: the frame before; ``"linear"``: interpolation between the frames
-            before and after; ``"held + events"``: the frame before plus the events
-            since; ``"linear + events"``: the same from both sides, weighted by their
-            distance in time.
+            before and after.
         """
-        on, off = thresholds
-
-        def sums(counts: NDArray[np.int32]) -> FloatArray:
-            return np.asarray(on * counts[1] - off * counts[0], np.float64)
-
-        out: dict[str, list[FloatArray]] = {
-            name: [] for name in ("held", "linear", "held + events", "linear + events")}
-        for place in self._places:
-            first = _log(place.before) + sums(place.events_before)
-            last = _log(place.after) - sums(place.events_after)
-            out["held"].append(_log(place.before))
-            out["linear"].append(_linear(place))
-            out["held + events"].append(first)
-            out["linear + events"].append(
-                (1 - place.weight) * first + place.weight * last)
-        return out
+        return {"held": [_log(place.before) for place in self._places],
+                "linear": [_linear(place) for place in self._places]}
 
     def score(
         self, predictions: Iterable[FloatArray | Estimate], *, relative: bool = False,
@@ -392,14 +369,10 @@ class _Kept(Recording):
 def _place(
     events: Events, before: ApsFrame, frame: ApsFrame, after: ApsFrame,
 ) -> _Place:
-    def counted(start: int, stop: int) -> NDArray[np.int32]:
-        first, last = np.searchsorted(events["t"], (start, stop))
-        return accumulate(events[first:last], frame.shape)
-
     t = frame.mid_us
-    return _Place(frame, before, after, counted(before.mid_us, t),
-                  counted(t, after.mid_us),
-                  counted(t - NEAR_US, t + NEAR_US).sum(axis=0, dtype=np.int32))
+    first, last = np.searchsorted(events["t"], (t - NEAR_US, t + NEAR_US))
+    return _Place(frame, before, after, accumulate(
+        events[first:last], frame.shape).sum(axis=0, dtype=np.int32))
 
 
 def _classes(place: _Place) -> dict[str, NDArray[np.bool_]]:
