@@ -25,10 +25,12 @@ def full():
         sensor_size=SIZE, chip="Davis346", serial="00000042", layout=Layout.SONY,
         theta_on=plane, theta_off=plane + 0.1, dark=-plane, dark_noise=plane,
         gain=plane + 1, analyser=rng.normal(size=(*SIZE, 3)), usable=plane > 0.15,
-        clip_dn=900.0, bandwidth_hz=250.0, bandwidth_sigma=0.1, thresholds_sigma=0.02,
-        clock_offset_us=-3000.0, clock_offset_sigma_us=90.0, black_dn_per_ms=2.5,
-        black_sigma=0.4, model=PixelModel(theta=np.array([0.25, 0.2]), dead_s=1e-4,
-                                          by_class=rng.normal(size=(2, 5))),
+        clip_dn=900.0, bandwidth_hz=250.0, bandwidth_sigma=0.1,
+        clock_offset_us=-3000.0, learned={
+            "thresholds_sigma": 0.02, "clock_offset_sigma_us": 90.0,
+            "black_dn_per_ms": 2.5, "black_sigma": 0.4, "model": PixelModel(
+                theta=np.array([0.25, 0.2]), dead_s=1e-4,
+                by_class=rng.normal(size=(2, 5)))},
         notes={"wavelength_nm": 500})
 
 
@@ -39,7 +41,8 @@ def test_a_file_gives_back_what_was_saved(tmp_path):
     assert (other.serial, other.chip, other.sensor_size) == (
         one.serial, one.chip, one.sensor_size)
     assert dict(other.notes) == dict(one.notes)
-    for name in one.parts:
+    assert dict(other.learned) == dict(one.learned)
+    for name in set(one.parts) - set(one.learned):
         np.testing.assert_array_equal(getattr(other, name), getattr(one, name))
     assert [path.name for path in tmp_path.iterdir()] == ["camera.npz"]
 
@@ -58,16 +61,26 @@ def test_a_file_of_an_earlier_version_has_no_uncertainty_of_the_bandwidth(tmp_pa
 
 @pytest.mark.parametrize(("name", "value"), [
     ("theta", [0.2]), ("noise", [1.0, float("nan"), 2.0]), ("theta", None),
-    ("rest_s", "long")])
+    ("rest_s", "long"), (None, "none"), (None, {})])
 def test_a_damaged_model_is_refused(tmp_path, name, value):
     path = full().save(tmp_path / "camera.npz")
     with np.load(path) as data:
         arrays = dict(data)
     head = json.loads(str(arrays.pop("head")))
-    head["model"][name] = value
+    if name is None:
+        head["learned"]["model"] = value
+    else:
+        head["learned"]["model"][name] = value
     np.savez(path, head=np.array(json.dumps(head)), **arrays)
     with pytest.raises(CalibrationError, match="damaged"):
         Calibration.load(path)
+
+
+@pytest.mark.parametrize("learned", [
+    {"black": 2.0}, {"black_sigma": -1.0}, {"thresholds_sigma": float("nan")}])
+def test_what_cannot_be_learned_is_refused(learned):
+    with pytest.raises(ValueError, match="learned must hold positive"):
+        Calibration(sensor_size=SIZE, learned=learned)
 
 
 def test_arrays_are_copies_and_read_only():

@@ -282,7 +282,8 @@ def test_what_was_learned_of_a_camera_is_where_the_next_recording_starts(tmp_pat
     clip = Calibration(sensor_size=SIZE, clip_dn=1000.0)
     assert fuse(first, method="kalman", calibration=clip).camera.clip_dn == 1000
     camera = Calibration.load(images.camera.save(tmp_path / "camera.npz"))
-    assert abs(camera.clock_offset_us + 3000) < 3 * camera.clock_offset_sigma_us
+    sigma_us = camera.learned["clock_offset_sigma_us"]
+    assert abs(camera.clock_offset_us + 3000) < 3 * sigma_us
     assert float(camera.theta_off.mean()) == pytest.approx(0.27, rel=0.06)
     other, truth = of(1008).record(RotatingPolarizer(rpm=90, dolp=0.4), 0.8)
     times = 250_000 + 10_000 * np.arange(25)

@@ -18,9 +18,12 @@ def of_all_pixels(
     `parts` are named as the fields of a Calibration; what differs from those of
     `known` was measured.
     """
+    parts = {**parts, **parts.get("learned", {})}
 
     def said(what: str, name: str, text: str) -> tuple[str, str]:
-        same = known and np.array_equal(getattr(known, name), parts[name])
+        told = None if known is None else known.learned.get(
+            name, getattr(known, name, None))
+        same = told is not None and np.array_equal(told, parts[name])
         return what, f"{text} ({CALIBRATION if same else MEASURED})"
 
     if "thresholds_sigma" in parts:

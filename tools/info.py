@@ -37,7 +37,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         camera = learned_parts(learned_pixels(recording)) if (
             args.scan and recording.info.frame_count != 0) else {}
         advice = [*advise(recording), *_clock(
-            camera.get("clock_offset_us", 0), camera.get("clock_offset_sigma_us", 0)),
+            camera.get("clock_offset_us", 0), camera.get("learned", {}).get(
+                "clock_offset_sigma_us", 0)),
             *_modulation(recording)] if args.scan else []
         problems = recording.problems
         name = args.file if isinstance(args.file, str) else recording.name
@@ -49,8 +50,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             if report is not None:
                 facts["scan"] = report
                 facts["advice"] = advice
-                facts["camera"] = {name: value for name, value in camera.items()
-                                   if name != "model"}
+                facts["camera"] = {
+                    name: value for name, value in {
+                        **camera, **camera.get("learned", {})}.items()
+                    if isinstance(value, float)}
             json.dump(facts, sys.stdout, indent=2, default=_plain)
             print()
             return 0

@@ -140,8 +140,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         halves = both_halves(
             recording, start_of(recording) + round(args.seconds * 1e6))
         camera = Fusion(halves[0].kept, calibration=calibration).camera
-        told = {name: float(np.median(getattr(camera, name))) for name in camera.parts
-                if name not in ("layout", "model")}
+        told = {name: float(np.median(value)) for name in camera.parts
+                if name not in ("layout", "model") for value in (
+                    camera.learned.get(name, getattr(camera, name, None)),)}
         tries = _tries(args.thresholds, calibration)
         rows = [_pooled(pair) for pair in zip(*([
             Row(name, "", None, one.score(guesses))

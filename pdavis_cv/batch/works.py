@@ -259,7 +259,9 @@ class Calibrate:
             "theta_off": float(np.median(found.thetas[1])),
             "common_scale_sigma": max(
                 (sigmas[name] for name in sigmas if name in ("on", "off")), default=0),
-            **{name: one for name, one in values.items() if isinstance(one, float)}}
+            **{name: one for name, one in {
+                **values, **values.get("learned", {})}.items()
+               if isinstance(one, float)}}
 
 
 def _first(images: Iterable[PolarFrame]) -> PolarFrame:

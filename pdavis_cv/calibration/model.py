@@ -31,11 +31,12 @@ _PLANES = (
     "theta_on", "theta_off", "theta_on_sigma", "theta_off_sigma", "dark", "dark_noise",
     "gain", "analyser", "usable")
 _POSITIVE_NUMBERS = (
-    "thresholds_sigma", "clip_dn", "bandwidth_hz", "bandwidth_hz_per_dn",
-    "bandwidth_sigma", "clock_offset_sigma_us", "black_dn_per_ms", "black_sigma")
+    "clip_dn", "bandwidth_hz", "bandwidth_hz_per_dn", "bandwidth_sigma")
 _NUMBERS = (*_POSITIVE_NUMBERS, "clock_offset_us")
 # Fields that must be given together.
-_TOGETHER = ("theta_on", "theta_off"), ("black_dn_per_ms", "black_sigma")
+_TOGETHER = (("theta_on", "theta_off"),)
+_LEARNED = (
+    "thresholds_sigma", "clock_offset_sigma_us", "black_dn_per_ms", "black_sigma")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,8 +57,6 @@ class Calibration:
         Contrast thresholds, positive, in natural-log units.
     theta_on_sigma, theta_off_sigma : ndarray of float32, shape (H, W), optional
         Standard errors of the thresholds.
-    thresholds_sigma : float, optional
-        Relative standard error that all thresholds share.
     dark : ndarray of float32, shape (H, W), optional
         Dark offset in DN, subtracted after correlated double sampling.
     dark_noise : ndarray of float32, shape (H, W), optional
@@ -81,14 +80,12 @@ class Calibration:
     clock_offset_us : float, optional
         Offset added to the frames' exposure times to bring them to the clock of the
         events, microseconds; positive if events trail frames.
-    clock_offset_sigma_us : float, optional
-        Its standard error.  If it is given, ``kalman`` refines the offset from each
-        recording; otherwise the offset is taken as exact.
-    black_dn_per_ms, black_sigma : float, optional
-        Light that frames lack, DN per ms, and its standard error: events follow, and
-        images show, the sum.
-    model : PixelModel, optional
-        What else was learned of events and frames; the fields above go before it.
+    learned : mapping of str to object
+        What recordings told beside these (`fuse(...).camera`): ``thresholds_sigma``,
+        the relative error that all thresholds share; ``clock_offset_sigma_us``, with
+        which ``kalman`` refines the offset, which is exact otherwise;
+        ``black_dn_per_ms`` and ``black_sigma``, light that frames lack; ``model``, a
+        `PixelModel` of what else events and frames tell of light.
     notes : mapping of str to object
         Provenance and conditions, JSON values: wavelength in nm, f-number,
         temperature, how each part was measured.
@@ -108,7 +105,6 @@ class Calibration:
     theta_off: NDArray[np.float32] | None = None
     theta_on_sigma: NDArray[np.float32] | None = None
     theta_off_sigma: NDArray[np.float32] | None = None
-    thresholds_sigma: float | None = None
     dark: NDArray[np.float32] | None = None
     dark_noise: NDArray[np.float32] | None = None
     gain: NDArray[np.float32] | None = None
@@ -119,10 +115,7 @@ class Calibration:
     bandwidth_hz_per_dn: float | None = None
     bandwidth_sigma: float | None = None
     clock_offset_us: float | None = None
-    clock_offset_sigma_us: float | None = None
-    black_dn_per_ms: float | None = None
-    black_sigma: float | None = None
-    model: PixelModel | None = None
+    learned: Facts = field(default_factory=dict)
     notes: Facts = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -141,7 +134,13 @@ class Calibration:
         for pair in _TOGETHER:
             if len({getattr(self, name) is None for name in pair}) > 1:
                 raise ValueError(f"{' and '.join(pair)} must be given together")
-        object.__setattr__(self, "notes", MappingProxyType(dict(self.notes)))
+        for name, value in self.learned.items():
+            if name not in (*_LEARNED, "model") or not (
+                    name == "model" or 0 < float(value) < np.inf):
+                raise ValueError(f"learned must hold positive {', '.join(_LEARNED)} "
+                                 f"and a model, got {name!r}: {value}")
+        for name in ("learned", "notes"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def _checked_plane(self, name: str) -> Image:
         value = getattr(self, name)
@@ -167,8 +166,8 @@ class Calibration:
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of the fields that are set."""
-        return tuple(name for name in ("layout", *_PLANES, *_NUMBERS, "model")
-                     if getattr(self, name) is not None)
+        return (*(name for name in ("layout", *_PLANES, *_NUMBERS)
+                  if getattr(self, name) is not None), *self.learned)
 
     @property
     def extinction_ratio(self) -> NDArray[np.float64] | None:
@@ -208,9 +207,10 @@ class Calibration:
                     f"calibrations can be merged only for one camera, but {name} is "
                     f"{mine} here and {theirs} there")
         known = {name: getattr(other, name)
-                 for name in ("chip", "serial", *other.parts)
+                 for name in ("chip", "serial", "layout", *_PLANES, *_NUMBERS)
                  if getattr(other, name) is not None}
-        return self.replace(**known, notes={**self.notes, **other.notes})
+        return self.replace(**known, learned={**self.learned, **other.learned},
+                            notes={**self.notes, **other.notes})
 
     def check_fits(
         self, sensor_size: tuple[int, int], serial: str | None = None
@@ -260,7 +260,8 @@ class Calibration:
             "chip": self.chip, "serial": self.serial, "notes": dict(self.notes),
             "layout": None if self.layout is None else self.layout.angles_deg,
             "colours": None if self.layout is None else self.layout.colours,
-            "model": None if self.model is None else self.model.as_lists(),
+            "learned": {name: value.as_lists() if name == "model" else value
+                        for name, value in self.learned.items()},
             **{name: getattr(self, name) for name in _NUMBERS}}
         planes = {name: getattr(self, name) for name in _PLANES
                   if getattr(self, name) is not None}
@@ -302,7 +303,9 @@ class Calibration:
             raise CalibrationError(
                 f"{path}: not a calibration file, or damaged: {error}") from None
         try:
-            cell, model = head["layout"], head.get("model")
+            cell, learned = head["layout"], dict(head.get("learned", {}))
+            if "model" in learned:
+                learned["model"] = PixelModel.of_lists(learned["model"])
             for name in (*_NUMBERS, "colours"):
                 head.setdefault(name, None)     # missing in files of earlier versions
             return cls(
@@ -310,8 +313,7 @@ class Calibration:
                 serial=head["serial"], notes=head["notes"],
                 layout=None if cell is None else Layout(
                     tuple(cell[0]), tuple(cell[1]), colours=head["colours"]),
-                model=None if model is None else PixelModel.of_lists(model),
-                **{name: head[name] for name in _NUMBERS}, **planes)
+                learned=learned, **{name: head[name] for name in _NUMBERS}, **planes)
         except (KeyError, TypeError, ValueError, AttributeError,
                 OverflowError) as error:
             raise CalibrationError(f"{path}: damaged: {error}") from None

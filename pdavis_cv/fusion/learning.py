@@ -277,18 +277,18 @@ def learned_parts(found: LearnedPixels) -> dict[str, Any]:
     if found.told or not sigmas:
         return {}
     off, on = model.thresholds.tolist()
-    parts: dict[str, Any] = {
-        "theta_on": on, "theta_off": off, "model": model,
-        "thresholds_sigma": max(sigmas["on"], sigmas["off"])}
+    parts: dict[str, Any] = {"theta_on": on, "theta_off": off}
+    learned = {"model": model, "thresholds_sigma": max(sigmas["on"], sigmas["off"])}
     if "f0" in sigmas and any(model.bandwidth):
         parts["bandwidth_hz"], parts["bandwidth_hz_per_dn"] = model.bandwidth
         parts["bandwidth_sigma"] = max(sigmas["f0"], sigmas.get("slope", 0.0))
     if found.clock_offset_us and "shift" in sigmas:
         parts["clock_offset_us"] = found.clock_offset_us
-        parts["clock_offset_sigma_us"] = sigmas["shift"]
+        learned["clock_offset_sigma_us"] = sigmas["shift"]
     if model.black and "black" in sigmas:
-        parts["black_dn_per_ms"], parts["black_sigma"] = model.black, sigmas["black"]
-    return {name: value for name, value in parts.items() if value}
+        learned |= {"black_dn_per_ms": model.black, "black_sigma": sigmas["black"]}
+    return {name: value for name, value in parts.items() if value} | {
+        "learned": learned}
 
 
 def learned_camera(
@@ -360,7 +360,8 @@ def _priors(
     sigma = _STATED_SIGMA
     if chosen in (None, "calibration") and not measured and calibration is not None:
         measured = calibration.theta_on is not None
-        sigma = min(max(calibration.thresholds_sigma or 0.0, sigma), _NOMINAL_SIGMA)
+        sigma = min(max(calibration.learned.get("thresholds_sigma", 0.0), sigma),
+                    _NOMINAL_SIGMA)
     priors = Priors(theta=(_mean(off), _mean(on)), clock_us=clock_us,
                     theta_sigma=sigma if measured else _NOMINAL_SIGMA)
     if calibration is None:
@@ -370,10 +371,11 @@ def _priors(
         of_law = calibration.bandwidth_sigma or 0.0
         priors = dataclasses.replace(
             priors, bandwidth=law, bandwidth_sigma=(of_law, of_law))
-    if calibration.black_dn_per_ms is not None and calibration.black_sigma is not None:
-        priors = dataclasses.replace(
-            priors, black=(calibration.black_dn_per_ms, calibration.black_sigma))
-    return dataclasses.replace(priors, model=calibration.model)
+    learned = calibration.learned
+    if "black_dn_per_ms" in learned:
+        priors = dataclasses.replace(priors, black=(
+            learned["black_dn_per_ms"], learned.get("black_sigma", 0.0)))
+    return dataclasses.replace(priors, model=learned.get("model"))
 
 
 def _mean(theta: ArrayLike) -> float:
@@ -392,4 +394,4 @@ def _stated_clock(options: FusionOptions) -> tuple[float, float]:
         return stated or 0.0, 0.0
     if known is None or known.clock_offset_us is None:
         return 0.0, _CLOCK_SIGMA_US
-    return known.clock_offset_us, known.clock_offset_sigma_us or 0.0
+    return known.clock_offset_us, known.learned.get("clock_offset_sigma_us", 0.0)
