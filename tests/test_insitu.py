@@ -22,7 +22,18 @@ def nominal():
 
 @pytest.fixture(scope="module")
 def found(nominal):
-    return learned_camera(nominal[1], nominal=NOMINAL)
+    return camera_of(nominal[1])
+
+
+class camera_of:
+    """Thresholds of the pixels as learned, and their errors."""
+
+    def __init__(self, recording, **options):
+        self.parts, self.ratio_sigma = learned_camera(
+            recording, nominal=NOMINAL, **options)
+        self.thetas, self.sigma = (np.stack([
+            self.parts[f"theta_{name}{what}"] for name in ("on", "off")])
+            for what in ("", "_sigma"))
 
 
 def true_ratio(camera):
@@ -38,7 +49,6 @@ def test_the_ratio_of_each_pixel_s_thresholds_is_found(nominal, found):
     assert np.std(error) < 0.3 * np.std(true_ratio(nominal[0]))
     assert np.abs(np.mean(error)) < 0.02
     assert found.sigma.shape == (2, 8, 8)
-    assert np.all(np.linalg.eigvalsh(found.covariance) > 0)
     assert np.all(found.ratio_sigma < found.sigma.sum(0) / found.thetas.min())
 
 
@@ -49,7 +59,7 @@ def test_one_sigma_covers_at_least_two_thirds_of_the_errors_of_thresholds():
     for chip, rpm in enumerate((30, 60, 200, 60, 200, 400), 11):
         camera = Camera.preset("nominal", seed=chip, size=(8, 8))
         scene = RotatingPolarizer(rpm=rpm * 1.013, start_angle=0.5 * chip)
-        found = learned_camera(camera.record(scene, 2.0)[0], nominal=NOMINAL)
+        found = camera_of(camera.record(scene, 2.0)[0])
         errors = (ratio_error(camera, found),
                   found.thetas[0] - camera.maps["theta_on"],
                   found.thetas[1] - camera.maps["theta_off"])
@@ -61,7 +71,7 @@ def test_one_sigma_covers_at_least_two_thirds_of_the_errors_of_thresholds():
 def test_without_change_the_estimate_is_the_nominal_value(nominal):
     camera = nominal[0]
     recording, _ = camera.record(RotatingPolarizer(rpm=0.0), 1.5)
-    found = learned_camera(recording, nominal=NOMINAL)
+    found = camera_of(recording)
     assert np.abs(found.thetas[0] / 0.16 - 1).max() < 1e-6
     assert np.all(found.sigma[0] > 0.05)
 
@@ -74,14 +84,14 @@ def test_where_little_is_told_thresholds_are_no_worse_than_nominal(
         preset, scene, rpm, s0):
     camera = Camera.preset(preset, seed=1, size=(12, 12))
     light = scene(rpm=rpm, start_angle=np.radians(17), s0=s0)
-    found = learned_camera(camera.record(light, 2.5)[0], nominal=NOMINAL)
+    found = camera_of(camera.record(light, 2.5)[0])
     assert np.std(ratio_error(camera, found)) < 1.1 * np.std(true_ratio(camera))
 
 
 def test_too_little_gives_the_prior():
     recording = recording_from_arrays(None, sensor_size=(4, 4))
-    found = learned_camera(recording, nominal=NOMINAL)
-    assert not found.pixels.sigmas
+    found = camera_of(recording)
+    assert "learned" not in found.parts
     np.testing.assert_allclose(found.thetas[0], 0.16)
     np.testing.assert_allclose(found.thetas[1], 0.18)
     assert np.all(found.sigma / found.thetas > 0.5)     # stated by nobody
@@ -91,8 +101,8 @@ def test_too_little_gives_the_prior():
 def test_frames_are_corrected_by_the_calibration_first(nominal):
     camera, recording, _ = nominal
     known = Calibration(sensor_size=(8, 8), dark=camera.maps["dark_dn"] + 30)
-    other = learned_camera(recording, nominal=NOMINAL, calibration=known)
-    plain = learned_camera(recording, nominal=NOMINAL)
+    other = camera_of(recording, calibration=known)
+    plain = camera_of(recording)
     assert not np.allclose(other.thetas, plain.thetas, rtol=0.01)
 
 

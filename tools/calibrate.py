@@ -258,23 +258,25 @@ def _layout(
 def _thresholds(
     recordings: list[Recording], args: argparse.Namespace, known: Calibration
 ) -> Found:
-    found = learned_camera(recordings[0], nominal=args.nominal, calibration=known)
-    model, sigma = found.pixels.model, found.sigma
+    parts, error = learned_camera(
+        recordings[0], nominal=args.nominal, calibration=known)
     page = Page("Contrast thresholds")
-    for name, plane, error in zip(("ON", "OFF"), found.thetas, sigma, strict=True):
-        page.say(f"{name} threshold", f"median {np.median(plane):.4f}, spread "
-                 f"{np.std(plane):.4f}, error of one {np.median(error):.4f} ln units")
-        page.image(f"{name} threshold", plane)
-    page.say("ON/OFF ratio", f"error of one {100 * np.median(found.ratio_sigma):.2f} %")
-    page.histogram("ON/OFF ratio", found.thetas[0] / found.thetas[1])
-    if not found.pixels.sigmas:
-        page.say("note", "too few frames or events: these are the expected values")
-        return found.parts, page
-    for what, text in of_all_pixels(found.parts):
+    for name in ("on", "off"):
+        plane, sigma = parts[f"theta_{name}"], parts[f"theta_{name}_sigma"]
+        page.say(f"{name.upper()} threshold", f"median {np.median(plane):.4f}, spread "
+                 f"{np.std(plane):.4f}, error of one {np.median(sigma):.4f} ln units")
+        page.image(f"{name.upper()} threshold", plane)
+    page.say("ON/OFF ratio", f"error of one {100 * np.median(error):.2f} %")
+    page.histogram("ON/OFF ratio", parts["theta_on"] / parts["theta_off"])
+    if "learned" not in parts:
+        page.say("note", "too little is told: these are the expected values")
+        return parts, page
+    for what, text in of_all_pixels(parts):
         page.say(what, text)
-    page.say("refractory period", f"{1e6 * model.dead_s:.0f} us" if model.dead_s
+    dead_s = parts["learned"]["model"].dead_s
+    page.say("refractory period", f"{1e6 * dead_s:.0f} us" if dead_s
              else "none that matters")
-    return found.parts, page
+    return parts, page
 
 
 _PARTS: dict[str, Callable[

@@ -248,20 +248,13 @@ class Calibrate:
         info, known = recording.info, options.calibration
         from pdavis_cv.fusion.learning import learned_camera
 
-        found = learned_camera(recording, nominal=self.nominal, calibration=known)
-        values = found.parts
+        parts, _ = learned_camera(recording, nominal=self.nominal, calibration=known)
         base = known or Calibration(sensor_size=info.sensor_size, serial=info.serial)
-        base.merge(Calibration(sensor_size=info.sensor_size, **values)).save(
+        base.merge(Calibration(sensor_size=info.sensor_size, **parts)).save(
             folder / "camera.npz")
-        sigmas = found.pixels.sigmas
-        return {
-            "theta_on": float(np.median(found.thetas[0])),
-            "theta_off": float(np.median(found.thetas[1])),
-            "common_scale_sigma": max(
-                (sigmas[name] for name in sigmas if name in ("on", "off")), default=0),
-            **{name: one for name, one in {
-                **values, **values.get("learned", {})}.items()
-               if isinstance(one, float)}}
+        told = {**parts, **parts.get("learned", {})}
+        return {name: float(np.median(value)) for name, value in told.items()
+                if name not in ("learned", "model")}
 
 
 def _first(images: Iterable[PolarFrame]) -> PolarFrame:

@@ -70,40 +70,6 @@ class Learned:
     thetas: NDArray[np.float64] | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class LearnedCamera:
-    """A camera as a recording shows it.
-
-    `pixels` is what all have in common; its ``sigmas`` are empty if nothing was told.
-    `thetas`, float64 (2, H, W), are the contrast thresholds of each pixel, ON and OFF,
-    natural-log units; `covariance`, (H, W, 2, 2), includes what is common to all.
-    """
-
-    pixels: LearnedPixels
-    thetas: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-
-    @property
-    def sigma(self) -> NDArray[np.float64]:
-        """Standard deviations of `thetas`."""
-        return np.sqrt(np.moveaxis(np.diagonal(self.covariance, 0, 2, 3), 2, 0))
-
-    @property
-    def parts(self) -> dict[str, Any]:
-        """The fields of a Calibration."""
-        on, off = self.thetas
-        return {**learned_parts(self.pixels), "theta_on": on, "theta_off": off,
-                "theta_on_sigma": self.sigma[0], "theta_off_sigma": self.sigma[1]}
-
-    @property
-    def ratio_sigma(self) -> NDArray[np.float64]:
-        """Standard deviation of ln(theta_on / theta_off), shape (H, W)."""
-        on, off = self.thetas
-        slope = np.stack([1 / on, -1 / off], -1)
-        return np.asarray(np.sqrt(
-            np.einsum("yxi,yxij,yxj->yx", slope, self.covariance, slope)))
-
-
 class Learning:
     """Which parameters of a method are estimated, and how an estimate is applied.
 
@@ -295,17 +261,23 @@ def learned_camera(
     recording: Recording, *,
     nominal: tuple[ArrayLike, ArrayLike] = NOMINAL_THRESHOLDS,
     calibration: Calibration | None = None,
-) -> LearnedCamera:
-    """Return the camera that took a recording, with the thresholds of each pixel.
+) -> tuple[dict[str, Any], NDArray[np.float64]]:
+    """Return the fields of a Calibration, with the thresholds of each pixel.
 
-    The parameters are those of `learned_pixels`; the light must change.
+    The second is the standard deviation of ln(theta_on / theta_off), shape (H, W).  The
+    parameters are those of `learned_pixels`; the light must change.
     """
     found = learned_pixels(recording, nominal=nominal, calibration=calibration)
     thetas, covariance = _of_each_pixel(
         found, recording, recording.packets(), calibration, nominal)
     for i, theta in enumerate(thetas):
         covariance[..., i, i] += (_OWN_ERROR * theta) ** 2
-    return LearnedCamera(found, thetas, covariance)
+    slope = np.stack([1 / thetas[0], -1 / thetas[1]], -1)
+    parts = learned_parts(found)
+    for i, name in enumerate(("theta_on", "theta_off")):
+        parts[name], parts[f"{name}_sigma"] = thetas[i], np.sqrt(covariance[..., i, i])
+    return parts, np.asarray(np.sqrt(
+        np.einsum("yxi,yxij,yxj->yx", slope, covariance, slope)))
 
 
 def _fed(
