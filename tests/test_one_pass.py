@@ -202,8 +202,8 @@ def test_without_frames_the_grid_begins_at_the_first_event():
 def test_a_learned_parameter_changes_at_its_time_and_not_before(recording):
     options = {"method": "kalman", "causal": True, "nominal_thresholds": NOMINAL}
     first = Fusion(recording, fps=10, **options).start_us
-    # Of a look after .125 s, an eighth later.
-    times = [first + 140_624, first + 140_625]
+    # Of a look after .1 s, an eighth later.
+    times = [first + 112_499, first + 112_500]
     before, after = fuse(once(recording), times_us=times, **options)
     known = [image.provenance["parameters"]["model"] for image in (before, after)]
     assert known[0] != known[1]

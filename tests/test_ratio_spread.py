@@ -105,7 +105,7 @@ def test_fuse_learns_it_from_events_alone(causal, frames):
         return image.provenance["parameters"]["ratio_sigma"]
 
     assert in_force(1_400_000) == pytest.approx(sigma, rel=0.3)
-    assert (in_force(400_000) == RATIO_SIGMA) == causal
+    assert (in_force(100_000) == RATIO_SIGMA) == causal
     assert in_force(1_400_000, ratio_sigma=0.07) == 0.07
 
 

@@ -52,6 +52,9 @@ EVIDENCE, EVIDENCE_OF_BLACK, LOSS_OF_BLACK = 4.0, 25.0, 3.0
 errors; and five for a black level, which must also lower the loss of pairs by three: it
 makes up for much that is not modelled (2 to 3 DN/ms were found where none was)."""
 
+MOST_LACKING = 1.7
+"""A choice: usual lags that pixels without any lack at most, as the fit sees them."""
+
 LEAST_WHOLE = 0.25
 """A choice: share of rows without missing events from which on others are left out."""
 
@@ -307,12 +310,12 @@ def _fitted(
     light = float(np.median(pairs.dn / pairs.ms))
     if slow.cost < best.cost - EVIDENCE and _usual(priors, slow.model, light, 0):
         best = slow
-    # Frames see the sum of the clock's offset and the photoreceptors' lag.  That may be
-    # shorter or longer than usual by three sigmas: no such offset is taken, unless one
-    # is known.
+    # Frames see the sum of the clock's offset and the photoreceptors' lag.  Pixels may
+    # have none, or one longer than usual by three sigmas: no offset that is explained
+    # so is taken, unless one is known.
     usual = 0.0 if told else _lag_us(priors.bandwidth, light)
-    least, most = (told + usual * math.expm1(sigmas * priors.bandwidth_sigma[0])
-                   for sigmas in (-3, 3))
+    least, most = told - MOST_LACKING * usual, told + usual * math.expm1(
+        3 * priors.bandwidth_sigma[0])
     others = [one for one in (tried(start, clock) for start in starts)
               if not least <= one.shift_us <= most]
     other = min(others, key=lambda one: one.cost, default=best)
