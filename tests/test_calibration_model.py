@@ -28,7 +28,7 @@ def full():
         clip_dn=900.0, bandwidth_hz=250.0, bandwidth_sigma=0.1,
         clock_offset_us=-3000.0, learned={
             "thresholds_sigma": 0.02, "clock_offset_sigma_us": 90.0,
-            "black_dn_per_ms": 2.5, "black_sigma": 0.4, "model": PixelModel(
+            "black_dn": 25.0, "black_sigma_dn": 4.0, "model": PixelModel(
                 theta=np.array([0.25, 0.2]), dead_s=1e-4,
                 by_class=rng.normal(size=(2, 5)))},
         notes={"wavelength_nm": 500})
@@ -77,7 +77,7 @@ def test_a_damaged_model_is_refused(tmp_path, name, value):
 
 
 @pytest.mark.parametrize("learned", [
-    {"black": 2.0}, {"black_sigma": -1.0}, {"thresholds_sigma": float("nan")}])
+    {"black": 2.0}, {"black_sigma_dn": -1.0}, {"thresholds_sigma": float("nan")}])
 def test_what_cannot_be_learned_is_refused(learned):
     with pytest.raises(ValueError, match="learned must hold positive"):
         Calibration(sensor_size=SIZE, learned=learned)

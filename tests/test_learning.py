@@ -217,6 +217,17 @@ def test_what_was_learned_stays_where_frames_say_nothing(realistic):
     assert (late.clock_us, *late.parameters["model"].theta) == (2000, 0.25, 0.3)
 
 
+@pytest.mark.parametrize(("stated", "used"), [
+    (None, (0, 0)), (0.1, (0.1, 0.1)), (0.98, (0.5, 0.98))])
+def test_no_bandwidth_is_less_known_than_that_of_any_camera(realistic, stated, used):
+    recording, _ = realistic
+    learning = Learning(recording, FusionOptions(calibration=Calibration(
+        sensor_size=recording.info.sensor_size, bandwidth_hz=250.0,
+        bandwidth_sigma=stated)), {}, KalmanFilter.needs)
+    assert learning._priors.bandwidth == (250, 0)
+    assert learning._priors.bandwidth_sigma == used
+
+
 def test_the_stream_is_looked_at_ever_more_rarely(realistic):
     recording, _ = realistic
     online = OnlineLearning(Learning(

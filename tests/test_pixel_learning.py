@@ -299,6 +299,14 @@ def test_what_was_learned_of_a_camera_is_where_the_next_recording_starts(tmp_pat
     assert errors[1].aop < 0.9 * errors[0].aop
 
 
+def test_a_black_level_is_kept_in_dn_whatever_the_exposure():
+    sample = sampled(of(1011), 200, 1.0)
+    told = Priors(theta=(0.27, 0.23), theta_sigma=0.05, black=(30.0, 0.0))
+    found = learn(sample, told, 50_000)
+    assert found.exposure_ms == pytest.approx(20, rel=0.5)
+    assert found.model.black * found.exposure_ms == pytest.approx(30)
+
+
 def test_no_camera_is_learned_of_still_light():
     still, _ = of(1009).record(FlatLight(), 1.0)
     camera = fuse(still, method="kalman").camera

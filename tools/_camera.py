@@ -35,9 +35,9 @@ def of_all_pixels(
             "bandwidth_hz", "bandwidth_hz_per_dn"))
         yield said("bandwidth", "bandwidth_sigma", f"{hz:.1f} Hz + {per_dn:.3g} Hz per "
                    f"DN/ms +- {100 * parts['bandwidth_sigma']:.0f} %")
-    if "black_dn_per_ms" in parts:
-        yield said("black level", "black_dn_per_ms", "{:.2f} +- {:.2f} DN/ms".format(
-            parts["black_dn_per_ms"], parts["black_sigma"]))
+    if "black_dn" in parts:
+        yield said("black level", "black_dn", "{:.1f} +- {:.1f} DN".format(
+            parts["black_dn"], parts.get("black_sigma_dn", 0)))
     if "clock_offset_us" in parts:
         us, sigma = parts["clock_offset_us"], parts.get("clock_offset_sigma_us", 0)
         yield said("clock offset", "clock_offset_us",

@@ -36,7 +36,7 @@ _NUMBERS = (*_POSITIVE_NUMBERS, "clock_offset_us")
 # Fields that must be given together.
 _TOGETHER = (("theta_on", "theta_off"),)
 _LEARNED = (
-    "thresholds_sigma", "clock_offset_sigma_us", "black_dn_per_ms", "black_sigma")
+    "thresholds_sigma", "clock_offset_sigma_us", "black_dn", "black_sigma_dn")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,7 +84,7 @@ class Calibration:
         What recordings told beside these (`fuse(...).camera`): ``thresholds_sigma``,
         the relative error that all thresholds share; ``clock_offset_sigma_us``, with
         which ``kalman`` refines the offset, which is exact otherwise;
-        ``black_dn_per_ms`` and ``black_sigma``, light that frames lack; ``model``, a
+        ``black_dn`` and ``black_sigma_dn``, what frames lack of the light; ``model``, a
         `PixelModel` of what else events and frames tell of light.
     notes : mapping of str to object
         Provenance and conditions, JSON values: wavelength in nm, f-number,

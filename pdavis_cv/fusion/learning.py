@@ -252,7 +252,8 @@ def learned_parts(found: LearnedPixels) -> dict[str, Any]:
         parts["clock_offset_us"] = found.clock_offset_us
         learned["clock_offset_sigma_us"] = sigmas["shift"]
     if model.black and "black" in sigmas:
-        learned |= {"black_dn_per_ms": model.black, "black_sigma": sigmas["black"]}
+        learned["black_dn"], learned["black_sigma_dn"] = (
+            found.exposure_ms * value for value in (model.black, sigmas["black"]))
     return {name: value for name, value in parts.items() if value} | {
         "learned": learned}
 
@@ -341,12 +342,13 @@ def _priors(
     law = calibration.bandwidth_hz or 0.0, calibration.bandwidth_hz_per_dn or 0.0
     if any(law):
         of_law = calibration.bandwidth_sigma or 0.0
-        priors = dataclasses.replace(
-            priors, bandwidth=law, bandwidth_sigma=(of_law, of_law))
+        hz, slope = priors.bandwidth_sigma      # of any camera: it is at most so large
+        priors = dataclasses.replace(priors, bandwidth=law, bandwidth_sigma=(
+            min(of_law, hz), min(of_law, slope)))
     learned = calibration.learned
-    if "black_dn_per_ms" in learned:
+    if "black_dn" in learned:
         priors = dataclasses.replace(priors, black=(
-            learned["black_dn_per_ms"], learned.get("black_sigma", 0.0)))
+            learned["black_dn"], learned.get("black_sigma_dn", 0.0)))
     return dataclasses.replace(priors, model=learned.get("model"))
 
 

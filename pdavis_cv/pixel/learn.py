@@ -108,7 +108,7 @@ class Priors:
     bandwidth_sigma : (float, float)
         Standard deviations of their logarithms; zeros: they are known.
     black : (float, float) or None
-        Black level, DN/ms, and its standard deviation; None: learned, if it is there.
+        Black level, DN, and its standard deviation; None: learned, if it is there.
     model : PixelModel or None
         What was learned of the camera before: its weights and silences are those that
         a recording's are shrunk to.
@@ -138,6 +138,8 @@ class LearnedPixels:
         ``lag`` (us) of the interpolation.
     gains : ndarray of float64, shape (2, K)
         Deviations of the sampled pixels' thresholds.
+    exposure_ms : float
+        Of the frames, 1 where it is not known.
     told : bool
         Whether thresholds are those of the priors, as frames say nothing of them.
     """
@@ -146,6 +148,7 @@ class LearnedPixels:
     clock_offset_us: float = 0.0
     sigmas: Mapping[str, float] = field(default_factory=dict)
     gains: Floats
+    exposure_ms: float = 1.0
     told: bool = False
 
     def scaled(self, factor: float, sigma: float) -> LearnedPixels:
@@ -192,14 +195,16 @@ def _with(fit: _Fit, **changes: object) -> _Fit:
     return _changed(fit, model=fit.model.replace(**changes))
 
 
-def prior_model(priors: Priors, lookahead_us: int) -> PixelModel:
-    """Return the camera that the priors describe."""
+def prior_model(
+    priors: Priors, lookahead_us: int, ms: float = math.inf,
+) -> PixelModel:
+    """Return the camera that the priors describe, for frames of an exposure, ms."""
     theta, table = np.array(priors.theta, np.float64), table_of(lookahead_us)
     model = PixelModel(
         theta=theta, theta_cov=np.diag((priors.theta_sigma * theta) ** 2),
         spread=SPREAD, bandwidth=priors.bandwidth, rest_s=RESTS_S[0],
         end=table[0], bow=table[1], lags_s=lags_of(lookahead_us),
-        black=0.0 if priors.black is None else priors.black[0])
+        black=0.0 if priors.black is None else priors.black[0] / ms)
     if priors.model is None or not np.array_equal(priors.model.lags_s, model.lags_s):
         return model
     return model.like(priors.model)
@@ -227,11 +232,12 @@ def learn(
     """
     data = sample.sampled()
     told, _ = priors.clock_us
-    prior = learned_frame_noise(data, prior_model(priors, lookahead_us))
     gains = np.zeros((2, len(data.start) - 1))
-    fit = _Fit(learned_frame_noise(data, prior_model(
-        replace(priors, model=None), lookahead_us)), told, 0.0, gains, {})
     pairs = pairs_of(data, told)
+    ms = math.inf if pairs is None else float(np.median(pairs.ms))
+    prior = learned_frame_noise(data, prior_model(priors, lookahead_us, ms))
+    fit = _Fit(learned_frame_noise(data, prior_model(
+        replace(priors, model=None), lookahead_us, ms)), told, 0.0, gains, {})
     if pairs is None or len(data.events) < 100:
         return LearnedPixels(model=prior, clock_offset_us=told, gains=gains, told=True)
     every = pairs
@@ -247,7 +253,7 @@ def learn(
         # Frames do not tell events from noise: what was told stays.
         model = model.replace(black=prior.black, bandwidth=prior.bandwidth)
         return LearnedPixels(model=model, clock_offset_us=told, gains=gains,
-                             sigmas=fit.sigmas, told=True)
+                             sigmas=fit.sigmas, told=True, exposure_ms=ms)
     short = thinned(pairs.part(pairs.short), MOST_FURTHER)
     model = features.further_weights(data, past, short, model, fit.gains, fit.shift_us,
                             lookahead_us)
@@ -257,7 +263,7 @@ def learn(
         model = model.replace(noise=fitted_noise(
             rows, fit.model, _residual(rows, fit.model)))
     return LearnedPixels(model=model, clock_offset_us=fit.shift_us, gains=fit.gains,
-                         sigmas=fit.sigmas)
+                         sigmas=fit.sigmas, exposure_ms=ms)
 
 
 def _past(data: Sampled, model: PixelModel) -> NDArray[np.void]:
@@ -423,7 +429,7 @@ def _numbers(priors: Priors, gap_us: float, pairs: Pairs) -> dict[str, _Number]:
         0.0, LAG_OF_GAP * gap_us, CLOCK_STEP_US, 1500.0, lambda f: f.lag_us,
         lambda f, x: _changed(f, lag_us=x))
     ms = float(np.median(pairs.ms))
-    mean, sigma = priors.black or (0.0, BLACK[1] / ms)
+    mean, sigma = (dn / ms for dn in priors.black or (0.0, BLACK[1]))
     if sigma > 0:
         every["black"] = _Number(
             mean, sigma, 4.0 / ms, 30.0 / ms, lambda f: f.model.black,
