@@ -77,7 +77,8 @@ def test_a_damaged_model_is_refused(tmp_path, name, value):
 
 
 @pytest.mark.parametrize("learned", [
-    {"black": 2.0}, {"black_sigma_dn": -1.0}, {"thresholds_sigma": float("nan")}])
+    {"black": 2.0}, {"black_sigma_dn": -1.0}, {"thresholds_sigma": float("nan")},
+    {"black_dn": "dark"}, {"model": {"theta": [0.2, 0.2]}}])
 def test_what_cannot_be_learned_is_refused(learned):
     with pytest.raises(ValueError, match="learned must hold positive"):
         Calibration(sensor_size=SIZE, learned=learned)

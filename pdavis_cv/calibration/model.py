@@ -135,10 +135,11 @@ class Calibration:
             if len({getattr(self, name) is None for name in pair}) > 1:
                 raise ValueError(f"{' and '.join(pair)} must be given together")
         for name, value in self.learned.items():
-            if name not in (*_LEARNED, "model") or not (
-                    name == "model" or 0 < float(value) < np.inf):
+            if not (isinstance(value, PixelModel) if name == "model" else
+                    name in _LEARNED and isinstance(value, (int, float, np.floating))
+                    and 0 < value < np.inf):
                 raise ValueError(f"learned must hold positive {', '.join(_LEARNED)} "
-                                 f"and a model, got {name!r}: {value}")
+                                 f"and a model, got {name!r}: {value!r}")
         for name in ("learned", "notes"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
