@@ -6,7 +6,8 @@
 #include "_math.h"
 #include "_prefetch.h"
 
-#define PDAVIS_PIXELS 64        /* that are computed together */
+#define PDAVIS_PIXELS 64        /* that are computed together, */
+#define PDAVIS_CHUNK 4096       /* and among which they are found */
 #define LEAST_DET 1e-20f
 #define ROW_FLOOR 0.02f         /* least error of an event's row, thresholds */
 #define PRIOR_ROWS 1.0f         /* rows that say that the error is ROW_FLOOR */
@@ -27,13 +28,13 @@
 
 /* What an image needs: 64 bytes without gaps. */
 typedef struct {
-    double t;                   /* of the last event, us; -inf before the first */
+    double t;                   /* of the last event, us */
     float s1, s2;               /* fading sums of rows times their errors before they
                                    were added */
     float a11, a12, a22, b1, b2, yy, n;         /* fading sums */
     float scale;                /* error of ln threshold */
     float on, off;              /* exp of half the thresholds */
-    float sign;                 /* of the last event */
+    float sign;                 /* of the last event; 0 before the first */
     float rest;                 /* ln of what changed and is no modulation; it fades */
 } turning_cell_t;
 
@@ -185,26 +186,30 @@ PDAVIS_CLONES PDAVIS_UNUSED static void turning_rows(
     }
 }
 
-/* Intensities of m <= PDAVIS_PIXELS pixels, and errors of AoP, DoLP and q across its
-   direction; level is what ln S0 is relative to. */
+enum { I0, I45, I90, I135, AOP, DOLP, ACROSS, PLANES };
+
+/* Write I0 to I135 and errors of AoP, DoLP and q across its direction of up to
+   PDAVIS_PIXELS of the m pixels at; level is what ln S0 is relative to. */
 PDAVIS_INLINE void turning_block(
-    const turning_read_t *restrict now, const turning_cell_t *restrict cell,
-    const float *restrict level, ptrdiff_t m, float *restrict i0, float *restrict i45,
-    float *restrict i90, float *restrict i135, float *restrict aop,
-    float *restrict dolp, float *restrict across, unsigned char *restrict valid)
+    const turning_read_t *restrict now, const turning_cell_t *restrict cells,
+    const float *restrict level, ptrdiff_t n, const int32_t *restrict at, int m,
+    float *restrict planes, unsigned char *restrict valid)
 {
     enum { N = SUMS, SCALE, ON, OFF, SIGN, REST, FIELDS };
-    float f[FIELDS][PDAVIS_PIXELS], age[PDAVIS_PIXELS];
-    ptrdiff_t i;
-    int k;
-    for (i = 0; i < m; i++) {
-        const float *restrict word = &cell[i].s1;
-        PDAVIS_PREFETCH(&cell[i + PDAVIS_PIXELS]);
-        age[i] = larger((float)(now->t - cell[i].t), 0.0f);
+    float f[FIELDS][PDAVIS_PIXELS], age[PDAVIS_PIXELS], zero[PDAVIS_PIXELS];
+    float out[PLANES][PDAVIS_PIXELS];
+    int known[PDAVIS_PIXELS], i, k;
+    for (i = 0; i < PDAVIS_PIXELS; i++) {
+        /* Behind the last there are others, or pixel 0. */
+        const turning_cell_t *cell = &cells[at[i]];
+        const float *restrict word = &cell->s1;
+        PDAVIS_PREFETCH(&cells[at[i + PDAVIS_PIXELS]]);
+        age[i] = larger((float)(now->t - cell->t), 0.0f);
+        zero[i] = level[at[i]];
         for (k = 0; k < FIELDS; k++)
             f[k][i] = word[k];
     }
-    for (i = 0; i < m; i++) {
+    for (i = 0; i < PDAVIS_PIXELS; i++) {
         float slow = pd_exp(age[i] * now->decay), gone = slow * slow;
         float theta = 0.5f * (f[ON][i] - 1.0f / f[ON][i] + f[OFF][i] - 1.0f / f[OFF][i]);
         float floor = ROW_FLOOR * ROW_FLOOR * theta * theta;
@@ -213,8 +218,7 @@ PDAVIS_INLINE void turning_block(
         float ridge = floor / (WIDE * WIDE), q1, q2, det, left, ratio, variance;
         float degree, per, c, s, d1, d2, both, along, square, half, angle;
         /* No event in a whole period: a swing below one threshold. */
-        ridge += age[i] > now->half_us && f[SIGN][i] != 0.0f
-            ? ROW_FLOOR * ROW_FLOOR / (SILENT * SILENT) : 0.0f;
+        ridge += age[i] > now->half_us ? ROW_FLOOR * ROW_FLOOR / (SILENT * SILENT) : 0.0f;
         turning_solve(a11 + ridge, a12, a22 + ridge, b1, b2, &q1, &q2);
         left = f[YY][i] * gone - 2.0f * (q1 * b1 + q2 * b2) + q1 * q1 * a11
             + 2.0f * q1 * q2 * a12 + q2 * q2 * a22;
@@ -238,40 +242,58 @@ PDAVIS_INLINE void turning_block(
         both = 2.0f * a12 * c * s;
         along = d1 * c + d2 * s;
         along = larger(variance * (a22 * c * c + a11 * s * s - both), along * along);
-        valid[i] = (n > LEAST_ROWS) & (along < UNKNOWN * UNKNOWN);
         square = d2 * c - d1 * s;
         square = sqrtf(larger(variance * (a22 * s * s + a11 * c * c + both),
                               square * square));
-        across[i] = square;
+        out[ACROSS][i] = square;
         angle = 0.5f * square * per;
-        aop[i] = angle < MOST_ANGLE ? angle : MOST_ANGLE;
-        valid[i] &= angle < UNSURE;
+        out[AOP][i] = angle < MOST_ANGLE ? angle : MOST_ANGLE;
+        known[i] = (n > LEAST_ROWS) & (along < UNKNOWN * UNKNOWN) & (angle < UNSURE);
         /* A common factor of the thresholds multiplies atanh of the degree: its series,
            the last term for all that follow. */
         square = degree < 1.0f ? degree * degree : 1.0f;
         square = degree * (1.0f - square) * (1.0f + square * (
             1.0f / 3.0f + square * (0.2f + square * 0.35f)));
-        dolp[i] = sqrtf(along + square * square * (
+        out[DOLP][i] = sqrtf(along + square * square * (
             f[SCALE][i] * f[SCALE][i] + now->common * now->common));
-        half = 0.5f * pd_exp(level[i] + f[REST][i] * slow);
-        i0[i] = half * (1.0f + q1);
-        i45[i] = half * (1.0f + q2);
-        i90[i] = half * (1.0f - q1);
-        i135[i] = half * (1.0f - q2);
+        half = 0.5f * pd_exp(zero[i] + f[REST][i] * slow);
+        out[I0][i] = half * (1.0f + q1);
+        out[I45][i] = half * (1.0f + q2);
+        out[I90][i] = half * (1.0f - q1);
+        out[I135][i] = half * (1.0f - q2);
+    }
+    m = m < PDAVIS_PIXELS ? m : PDAVIS_PIXELS;
+    for (i = 0; i < m; i++) {
+        valid[at[i]] = known[i];
+        for (k = 0; k < PLANES; k++)
+            planes[k * n + at[i]] = out[k][i];
     }
 }
 
-PDAVIS_CLONES PDAVIS_UNUSED static void turning_row(
-    const turning_read_t *restrict now, const turning_cell_t *restrict cell,
-    const float *restrict level, ptrdiff_t n, float *restrict i0, float *restrict i45,
-    float *restrict i90, float *restrict i135, float *restrict aop,
-    float *restrict dolp, float *restrict across, unsigned char *restrict valid)
+/* As turning_block of the pixels that have been seen; of the others n know nothing. */
+PDAVIS_CLONES PDAVIS_UNUSED static void turning_pixels(
+    const turning_read_t *restrict now, const turning_cell_t *restrict cells,
+    const unsigned char *restrict seen, const float *restrict level, ptrdiff_t n,
+    float *restrict planes, unsigned char *restrict valid)
 {
-    ptrdiff_t at, m;
-    for (at = 0; at < n; at += m) {
-        m = n - at < PDAVIS_PIXELS ? n - at : PDAVIS_PIXELS;
-        turning_block(now, cell + at, level + at, m, i0 + at, i45 + at, i90 + at,
-                      i135 + at, aop + at, dolp + at, across + at, valid + at);
+    static const float unknown[PLANES] = {0, 0, 0, 0, MOST_ANGLE, WIDE, WIDE};
+    int32_t at[PDAVIS_CHUNK + PDAVIS_PIXELS] = {0};
+    ptrdiff_t first, last, i;
+    int m, k;
+    for (first = 0; first < n; first = last) {
+        last = n - first < PDAVIS_CHUNK ? n : first + PDAVIS_CHUNK;
+        for (i = first; i < last; i++)
+            planes[i] = 0.5f * pd_exp(level[i]);
+        for (k = I45; k < PLANES; k++)
+            for (i = first; i < last; i++)
+                planes[k * n + i] = k < AOP ? planes[i] : unknown[k];
+        for (i = first, m = 0; i < last; i++) {
+            valid[i] = 0;
+            at[m] = (int32_t)i;
+            m += seen[i] != 0;
+        }
+        for (k = 0; k < m; k += PDAVIS_PIXELS)
+            turning_block(now, cells, level, n, at + k, m - k, planes, valid);
     }
 }
 

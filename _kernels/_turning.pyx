@@ -16,7 +16,7 @@ cdef extern from "_prefetch.h" nogil:
     void prefetch "PDAVIS_PREFETCH"(const void*)
 
 cdef extern from "_turning.h" nogil:
-    const int EVENTS "PDAVIS_EVENTS", A11, SUMS, LASTING, OWN
+    const int EVENTS "PDAVIS_EVENTS", A11, SUMS, LASTING, OWN, PLANES
     ctypedef struct cell_t "turning_cell_t":
         double t
         float s1, s2, a11, a12, a22, b1, b2, yy, n, scale, on, off, sign, rest
@@ -34,8 +34,8 @@ cdef extern from "_turning.h" nogil:
         float half_us, decay, late, common
     void circle "turning_circle"(double, float*, float*)
     void turning_rows(rows_t*, float, float)
-    void turning_row(const reading_t*, const cell_t*, const float*, Py_ssize_t, float*,
-                     float*, float*, float*, float*, float*, float*, unsigned char*)
+    void turning_pixels(const reading_t*, const cell_t*, const unsigned char*,
+                        const float*, Py_ssize_t, float*, unsigned char*)
 
 cdef extern from *:
     """
@@ -49,7 +49,7 @@ cdef extern from *:
 
 
 cdef inline void put(rows_t* rows, int i, const cell_t* cell, const lasting_t* old,
-                     double t, double rate, float c, float s, bint up) noexcept nogil:
+                     double t, double rate, float c, float s, int up) noexcept nogil:
     """Take what the rows of an event depend on."""
     cdef int k
     rows.half[i] = (t - cell.t) * rate
@@ -58,8 +58,8 @@ cdef inline void put(rows_t* rows, int i, const cell_t* cell, const lasting_t* o
     rows.s[i] = s
     rows.c0[i] = old.c
     rows.s0[i] = old.s
-    rows.root[i] = cell.on if up else cell.off
-    rows.sign[i] = 1 if up else -1
+    rows.root[i] = (&cell.on)[1 - up]
+    rows.sign[i] = 2 * up - 1
     rows.same[i] = rows.sign[i] == cell.sign
     for k in range(A11, SUMS):
         rows.sums[k][i] = (&cell.s1)[k]
@@ -68,7 +68,7 @@ cdef inline void put(rows_t* rows, int i, const cell_t* cell, const lasting_t* o
 cdef inline void add(cell_t* cell, lasting_t* old, const rows_t* rows, int i
                      ) noexcept nogil:
     """Add the rows of an event that has a predecessor."""
-    cdef float* own = &old.n1 if rows.sign[i] > 0 else &old.n0
+    cdef float* own = &old.n1 + OWN * (rows.sign[i] < 0)
     cdef float by = rows.fade[i]
     cdef int k
     for k in range(SUMS):
@@ -84,12 +84,14 @@ cdef inline void add(cell_t* cell, lasting_t* old, const rows_t* rows, int i
 
 def turning_events(const event_t[::1] events not None, int64_t last,
                    cell_t[:, ::1] cells not None, lasting_t[:, ::1] lasting not None,
+                   uint8_t[:, ::1] seen not None,
                    const double[:, ::1] segments not None,
                    float tau, float share):
     """Add events to the cells and their lasting sums; return how many were taken.
 
-    segments are rows (time, 2 a, its rate per us), of which the last that does not
-    begin after an event holds, and the first before it.  Stops at the first event
+    seen becomes not 0 where an event is: the number of its group, of events of as many
+    pixels.  segments are rows (time, 2 a, its rate per us), of which the last that does
+    not begin after an event holds, and the first before it.  Stops at the first event
     outside cells, or before its predecessor (the first: before last).
     """
     cdef Py_ssize_t n = events.shape[0], h = cells.shape[0], w = cells.shape[1]
@@ -98,22 +100,21 @@ def turning_events(const event_t[::1] events not None, int64_t last,
     cdef double rate = 0
     cdef float c = 1, s = 0
     cdef float per_tau = -1 / (RATIO * tau)
-    cdef int j, count, other
-    cdef bint again
+    cdef int j, count, group = 0
     cdef cell_t* cell
     cdef lasting_t* old
     cdef rows_t rows
     cdef Py_ssize_t[EVENTS] places
     if m < 1 or segments.shape[1] != 3:
         raise ValueError("turning_events: segments must be (m, 3), m at least 1")
-    if lasting.shape[0] != h or lasting.shape[1] != w:
-        raise ValueError("turning_events: lasting must be as many as cells")
+    if (lasting.shape[0] != h or lasting.shape[1] != w or seen.shape[0] != h
+            or seen.shape[1] != w):
+        raise ValueError("turning_events: lasting and seen must be as many as cells")
     memset(&rows, 0, sizeof(rows))
     with nogil:
         while i < n:
             # Events of as many pixels: another one of the same pixel waits.
-            for j in range(EVENTS):
-                places[j] = -1
+            group = group % 255 + 1
             count = 0
             while count < EVENTS and i + count < n:
                 j = count
@@ -124,11 +125,9 @@ def turning_events(const event_t[::1] events not None, int64_t last,
                     n = i + j
                     break
                 at = y * w + x
-                again = False
-                for other in range(EVENTS):
-                    again |= places[other] == at
-                if again:
+                if (&seen[0, 0])[at] == group:
                     break
+                (&seen[0, 0])[at] = group
                 places[j] = at
                 last = t
                 if (i + j + AHEAD < n and events[i + j + AHEAD].y < h
@@ -144,7 +143,7 @@ def turning_events(const event_t[::1] events not None, int64_t last,
                     circle((segments[k, 1] + rate * (t - segments[k, 0])) / TWO_PI,
                            &c, &s)
                 put(&rows, j, &cells[y, x], &lasting[y, x], t, rate * (0.5 / TWO_PI),
-                    c, s, events[i + j].p == 1)
+                    c, s, events[i + j].p)
                 count += 1
             turning_rows(&rows, per_tau, share)
             for j in range(count):
@@ -160,33 +159,31 @@ def turning_events(const event_t[::1] events not None, int64_t last,
     return i
 
 
-def turning_images(const cell_t[:, ::1] cells not None, double t, float tau,
+def turning_images(const cell_t[:, ::1] cells not None,
+                   const uint8_t[:, ::1] seen not None, double t, float tau,
                    float half_us, float late, float common,
-                   const float[:, ::1] level not None, float[:, :, ::1] quad not None,
-                   float[:, :, ::1] sigmas not None, uint8_t[:, ::1] valid not None):
-    """Write what cells tell at the time t: quad (4, h, w), sigmas (3, h, w), valid.
+                   const float[:, ::1] level not None, float[:, :, ::1] planes not None,
+                   uint8_t[:, ::1] valid not None):
+    """Write what cells tell at the time t: planes (7, h, w), valid.
 
-    sigmas are those of AoP, DoLP and q across its direction.  half_us is half a turn,
-    late the part of the drift of q that is its error, common the relative error that
-    all thresholds have in common, level (h, w) what ln S0 is relative to.
+    The planes are I0 to I135, errors of AoP, DoLP and q across its direction.  seen are
+    pixels that had an event, half_us is half a turn, late the part of the drift of q
+    that is its error, common the relative error that all thresholds have in common,
+    level (h, w) what ln S0 is relative to.
     """
-    cdef Py_ssize_t h = cells.shape[0], w = cells.shape[1], y
+    cdef Py_ssize_t h = cells.shape[0], w = cells.shape[1]
     cdef reading_t now
     now.t = t
     now.half_us = half_us
     now.decay = -1 / (RATIO * tau)
     now.late = late
     now.common = common
-    if (quad.shape[0] != 4 or sigmas.shape[0] != 3 or quad.shape[1] != h
-            or sigmas.shape[1] != h or valid.shape[0] != h or level.shape[0] != h
-            or quad.shape[2] != w or sigmas.shape[2] != w or valid.shape[1] != w
-            or level.shape[1] != w):
+    if (planes.shape[0] != PLANES or planes.shape[1] != h or planes.shape[2] != w
+            or seen.shape[0] != h or seen.shape[1] != w or valid.shape[0] != h
+            or valid.shape[1] != w or level.shape[0] != h or level.shape[1] != w):
         raise ValueError("turning_images: planes must be those of cells")
-    if w == 0:
+    if h * w == 0:
         return
     with nogil:
-        for y in range(h):
-            turning_row(
-                &now, &cells[y, 0], &level[y, 0], w, &quad[0, y, 0], &quad[1, y, 0],
-                &quad[2, y, 0], &quad[3, y, 0], &sigmas[0, y, 0], &sigmas[1, y, 0],
-                &sigmas[2, y, 0], &valid[y, 0])
+        turning_pixels(&now, &cells[0, 0], &seen[0, 0], &level[0, 0], h * w,
+                       &planes[0, 0, 0], &valid[0, 0])

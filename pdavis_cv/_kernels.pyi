@@ -297,9 +297,9 @@ def texture_stokes(
 ) -> None: ...
 def turning_events(
     events: NDArray[Any], last: int, cells: NDArray[Any], lasting: NDArray[Any],
-    segments: _F64, tau: float, share: float,
+    seen: NDArray[np.uint8], segments: _F64, tau: float, share: float,
 ) -> int: ...
 def turning_images(
-    cells: NDArray[Any], t: float, tau: float, half_us: float, late: float,
-    common: float, level: _F32, quad: _F32, sigmas: _F32, valid: NDArray[np.uint8],
+    cells: NDArray[Any], seen: NDArray[np.uint8], t: float, tau: float, half_us: float,
+    late: float, common: float, level: _F32, planes: _F32, valid: NDArray[np.uint8],
 ) -> None: ...

@@ -17,11 +17,11 @@ from pdavis_cv.tools.main import main
 from pdavis_cv.turning import PulseClock, TurningAnalyser
 
 
-def regression(scene, events=None, **parameters):
+def regression(scene, events=None, shape=None, **parameters):
     """Return a method that has seen a scene, with the thresholds of a data sheet."""
     known = {"theta_on": 0.23, "theta_off": 0.27, "segments": TurningAnalyser(
         rpm=60 * scene.hz, phase=scene.phase).segments()} | parameters
-    method = TurningRegression((1, len(scene.on)), **known)
+    method = TurningRegression(shape or (1, len(scene.on)), **known)
     method.add_events(scene.events if events is None else events)
     return method
 
@@ -246,6 +246,27 @@ def test_images_match_the_reference(still, later_us):
         assert sigmas[1] == pytest.approx(along, rel=0.06)   # atanh is a short series
 
 
+def test_pixels_without_events_know_nothing(still):
+    alone = at_end(regression(still, learn=False), still)
+    shape, n = (40, 256), len(still.on)
+    places = np.random.default_rng(1002).permutation(math.prod(shape))[:n]
+    events = still.events.copy()
+    events["y"], events["x"] = np.divmod(places[still.events["x"]], shape[1])
+    method = regression(still, learn=False, events=events, shape=shape)
+    found = at_end(method, still)
+    seen = np.zeros(shape, bool)
+    seen.flat[places] = True
+    for name in alone._fields:
+        here = getattr(found, name)
+        np.testing.assert_array_equal(
+            here.reshape(*here.shape[:-2], -1)[..., places],
+            getattr(alone, name)[..., 0, :])
+    assert np.all(found.quad[:, ~seen] == 0.5)
+    assert not found.valid[~seen].any()
+    np.testing.assert_allclose(
+        found.sigmas[:, ~seen].T - [math.pi / math.sqrt(12), 0.5, 0.5], 0, atol=1e-6)
+
+
 def test_events_taken_together_are_those_taken_one_by_one():
     rng = np.random.default_rng(1001)
     events = np.zeros(300, EVENT_DTYPE)
@@ -264,22 +285,22 @@ def test_events_taken_together_are_those_taken_one_by_one():
 
 def test_the_kernel_stops_at_the_first_bad_event(still):
     method = regression(still, learn=False)
-    cells, lasting = method._cells, method._lasting
+    cells, lasting, seen = method._cells, method._lasting, method._seen
     events = np.zeros(4, EVENT_DTYPE)
     events["t"] = 10, 20, 15, 30
     take = _kernels.turning_events
-    assert take(events, 0, cells, lasting, method.segments, 1e4, 1.0) == 2
+    assert take(events, 0, cells, lasting, seen, method.segments, 1e4, 1.0) == 2
     events["t"], events["x"] = 40, (0, len(still.on), 0, 0)
-    assert take(events, 0, cells, lasting, method.segments, 1e4, 1.0) == 1
-    assert take(events[:0], 0, cells, lasting, method.segments, 1e4, 1.0) == 0
+    assert take(events, 0, cells, lasting, seen, method.segments, 1e4, 1.0) == 1
+    assert take(events[:0], 0, cells, lasting, seen, method.segments, 1e4, 1.0) == 0
     with pytest.raises(ValueError, match="segments must be"):
-        take(events, 0, cells, lasting, np.zeros((0, 3)), 1e4, 1.0)
-    with pytest.raises(ValueError, match="lasting must be as many as cells"):
-        take(events, 0, cells, lasting[:, 1:], method.segments, 1e4, 1.0)
-    planes = np.zeros((9, *cells.shape), np.float32)
+        take(events, 0, cells, lasting, seen, np.zeros((0, 3)), 1e4, 1.0)
+    with pytest.raises(ValueError, match="lasting and seen must be as many as cells"):
+        take(events, 0, cells, lasting[:, 1:], seen, method.segments, 1e4, 1.0)
+    planes = np.zeros((8, *cells.shape), np.float32)
     with pytest.raises(ValueError, match="planes must be those of cells"):
         _kernels.turning_images(
-            cells, 0.0, 1e4, 1e4, 0.5, 0.1, planes[0], planes[1:5], planes[5:8],
+            cells, seen, 0.0, 1e4, 1e4, 0.5, 0.1, planes[0], planes[1:],
             np.zeros((1, 1), np.uint8))
 
 

@@ -111,9 +111,8 @@ class TurningRegression:
         learn: bool = True, threshold_sigma: float = 0.5,
     ) -> None:
         self.shape = sensor_shape(shape)
-        theta = np.stack([np.broadcast_to(checked_threshold(name, given, self.shape),
-                                          self.shape) for name, given in (
-            ("theta_on", theta_on), ("theta_off", theta_off))])
+        thetas = [checked_threshold(name, given, self.shape) for name, given in (
+            ("theta_on", theta_on), ("theta_off", theta_off))]
         self._half_turns = positive("half_turns", half_turns)
         self._sigma = positive("threshold_sigma", threshold_sigma)
         self._learn = bool(learn)
@@ -129,12 +128,14 @@ class TurningRegression:
         self._clock = StreamClock(self.shape)
         self._cells = _aligned(self.shape, _CELL)
         self._lasting = _aligned(self.shape, _LASTING)
-        self._cells["t"] = -np.inf
+        self._seen = np.zeros(self.shape, np.uint8)     # pixels that had an event
         self._cells["scale"] = _OWN_SPREAD
-        self._log_theta = np.log(theta).astype(np.float32)
-        self._cells["on"], self._cells["off"] = np.exp(theta / 2)
+        self._log_theta = np.empty((2, *self.shape), np.float32)
+        for plane, name, theta in zip(self._log_theta, ("on", "off"), thetas,
+                                      strict=True):
+            plane[:], self._cells[name] = np.log(theta), np.exp(theta / 2)
         # ln of the mean threshold, ON and OFF.
-        self._mean = self._log_theta.astype(np.float64).mean((1, 2))
+        self._mean = self._log_theta.mean((1, 2), np.float64)
         self.common_sigma, self._counts = self._sigma, [0, 0]
         self._start: int | None = None
         self._looks = 0
@@ -169,8 +170,8 @@ class TurningRegression:
         if not len(events):
             return
         taken = _kernels.turning_events(
-            events, self._clock.last_us, self._cells, self._lasting, self.segments,
-            self._tau, 1 / self._half_turns)
+            events, self._clock.last_us, self._cells, self._lasting, self._seen,
+            self.segments, self._tau, 1 / self._half_turns)
         risen = int(np.count_nonzero(events["p"][:taken]))
         self._counts[0] += risen
         self._counts[1] += taken - risen
@@ -188,25 +189,28 @@ class TurningRegression:
         """Estimate all thresholds from what the pixels have seen."""
         self._looks += 1
         known = self.common_sigma <= _COMMON or self._sigma < _FIRST_SPREAD
-        seen = self._lasting["n1"] + self._lasting["n0"] >= _LEAST_LEARNT
         # NumPy would copy fields one by one.
-        whole = self._lasting.view(f"V{_LASTING.itemsize}")
-        lasting = whole[seen].view(_LASTING)
-        learned, scale, told = _learned(lasting, self._log_theta[:, seen], self._mean,
+        whole = self._lasting.view(f"V{_LASTING.itemsize}").ravel()
+        cells, log_theta = self._cells.ravel(), self._log_theta.reshape(2, -1)
+        at = np.flatnonzero(self._seen)
+        rows = whole[at]
+        n1, n0 = (rows.view(_LASTING)[name] for name in ("n1", "n0"))
+        enough = n1 + n0 >= _LEAST_LEARNT
+        at, lasting = at[enough], rows[enough].view(_LASTING)
+        learned, scale, told = _learned(lasting, log_theta[:, at], self._mean,
                                         _OWN_SPREAD if known else _FIRST_SPREAD)
-        whole[seen] = lasting.view(whole.dtype)
-        self._log_theta[:, seen] = learned
-        on, off = _exp(_exp(learned) / 2)
-        for name, values in (("on", on), ("off", off), ("scale", scale)):
-            self._cells[name][seen] = values
-        on, off = learned
+        whole[at] = lasting.view(whole.dtype)
+        log_theta[:, at] = learned
+        cells["on"][at], cells["off"][at] = _exp(_exp(learned) / 2)
+        cells["scale"][at] = scale
+        still, strong = learned[:, told > 0], learned[:, told == 2]
         size, ratio = self._mean.mean(), None
-        if np.count_nonzero(told) >= _STILL_PIXELS:
-            ratio = float(np.median((on - off)[told > 0]))
+        if still.shape[1] >= _STILL_PIXELS:
+            ratio = float(np.median(still[0] - still[1]))
         elif min(self._counts) > 0:     # a pixel that ends where it began has as many
             ratio = math.log(self._counts[1] / self._counts[0])
-        if np.count_nonzero(told == 2) >= _STILL_PIXELS:
-            size = float(np.median((on + off)[told == 2])) / 2
+        if strong.shape[1] >= _STILL_PIXELS:
+            size = float(np.median(strong.sum(0))) / 2
             self.common_sigma = min(self.common_sigma, _COMMON)
         if ratio is not None:
             self._mean = np.array([size + ratio / 2, size - ratio / 2])
@@ -244,13 +248,12 @@ class TurningRegression:
         return self._read(t)
 
     def _read(self, t: int) -> Polarization:
-        found = Polarization(np.empty((4, *self.shape), np.float32),
-                             np.empty((3, *self.shape), np.float32),
-                             np.empty(self.shape, np.bool_))
+        planes = np.empty((7, *self.shape), np.float32)
+        valid = np.empty(self.shape, np.bool_)
         _kernels.turning_images(
-            self._cells, t, self._tau, self.half_us, self._late, self.common_sigma,
-            self._dc, found.quad, found.sigmas, found.valid.view(np.uint8))
-        return found
+            self._cells, self._seen, t, self._tau, self.half_us, self._late,
+            self.common_sigma, self._dc, planes, valid.view(np.uint8))
+        return Polarization(planes[:4], planes[4:], valid)
 
 
 def _learned(
@@ -333,8 +336,6 @@ def _exp(x: NDArray[np.floating]) -> Plane:
 
 def _aligned(shape: tuple[int, int], dtype: np.dtype[np.void]) -> Records:
     """Return an array of zeros, each element in a cache line."""
-    size = math.prod(shape) * dtype.itemsize
-    memory = np.empty(size + 63, np.uint8)  # of large pages, which zeros() has not
-    memory.fill(0)
+    memory = np.zeros(math.prod(shape) * dtype.itemsize + 63, np.uint8)
     first = -memory.ctypes.data % 64
-    return memory[first:first + size].view(dtype).reshape(shape)
+    return memory[first:first + len(memory) - 63].view(dtype).reshape(shape)
