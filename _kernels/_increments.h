@@ -89,15 +89,34 @@ PDAVIS_INLINE double goes_on(double gap, const camera_t *c)
     return left > 0.0 ? left / (1.0 - AT_REST) : 0.0;
 }
 
-/* Thresholds that an event stands for: light went on in the dead time.  (4)
-   What passed after it is at least LEAST_LIVE of it: noise would count without end. */
-PDAVIS_INLINE double weight_of(double before, int same, const camera_t *c)
+/* The gap before a turn of the light, of which one of this pace is q, s. */
+PDAVIS_INLINE double pace_of(double before, int known, double gap)
 {
-    double live = before - c->dead;
-    if (!same || c->dead <= 0.0)
+    double q = known ? before / gap : TURN;
+    return gap * (q < EARLIEST_TURN ? EARLIEST_TURN : q > 1.0 ? 1.0 : q);
+}
+
+/* What of a gap the pixel was not held in reset.  It is at least LEAST_LIVE of the dead
+   time: noise would count without end. */
+PDAVIS_INLINE double live_of(double gap, const camera_t *c)
+{
+    double live = gap - c->dead, least = LEAST_LIVE * c->dead;
+    return live > least ? live : least;
+}
+
+/* Thresholds that an event stands for after a gap, and the gap before it, the last of
+   `run_before` events of one sign: light went on in the dead time.  (4) */
+PDAVIS_INLINE double weight_of(double gap, double before, int same, int run_before,
+                               const camera_t *c)
+{
+    double live;
+    if (c->dead <= 0.0 || run_before < 1)
         return 1.0;
-    live = live > LEAST_LIVE * c->dead ? live : LEAST_LIVE * c->dead;
-    return 1.0 + c->dead / live;
+    if (same)
+        return 1.0 + c->dead / live_of(gap, c);
+    before = pace_of(before, run_before > 1, gap);
+    live = live_of(before, c);
+    return gap * ((live + gap) / live_of(gap, c) - c->dead / live) / (before + gap);
 }
 
 /* Change of light by an event after a gap, by its class. */
@@ -178,16 +197,13 @@ PDAVIS_INLINE void course_of(const around_t *a, const camera_t *c, double rise[2
     int on = a->sign > 0;
     rise[0] = rise[1] = bend[0] = bend[1] = 0.0;
     if (a->gap > 0.0) {
-        double p = moves(a->gap, c) * a->next_weight / a->gap;
-        rise[a->next_sign > 0] = a->next_sign * p;
+        double p = moves(a->gap, c);
+        rise[a->next_sign > 0] = a->next_sign * p * a->next_weight / a->gap;
         if (a->next_sign != a->sign && !a->flickers) {
-            double q = TURN;
-            if (a->context < 3) {
-                q = a->before / a->gap;
-                q = q < EARLIEST_TURN ? EARLIEST_TURN : q > 1.0 ? 1.0 : q;
-            }
-            rise[on] = a->sign * p / q;
-            bend[on] = -rise[on] / a->gap;
+            double before = pace_of(a->before, a->context < 3, a->gap);
+            bend[on] = -a->sign * p * (1.0 / live_of(a->gap, c) + 1.0 / live_of(before, c))
+                       / (before + a->gap);
+            rise[on] = -bend[on] * a->gap;
         }
     } else if (!a->flickers) {
         silence_t open = silence_of(a, c);

@@ -32,7 +32,8 @@ cdef extern from "_increments.h" nogil:
     ctypedef struct around_t:
         double since, gap, silent, before, next_weight, drift
         int sign, next_sign, context, flickers
-    double weight_of(double before, int same, const camera_t* c)
+    double weight_of(double gap, double before, int same, int run_before,
+                     const camera_t* c)
     double step_of(double before, int on, const camera_t* c)
     int context_of(int run, double before, double before2)
     void course_of(const around_t* a, const camera_t* c, double* rise, double* bend)
@@ -202,7 +203,7 @@ cdef inline const camera_t* camera_of(const double[::1] numbers) except NULL:
 
 
 cdef inline double weight(const stored_t* e, const camera_t* c) noexcept nogil:
-    return weight_of(e.before, e.run > 1, c)
+    return weight_of(e.before, e.before2, e.run > 1, e.run_before, c)
 
 
 cdef inline void before_it(const stored_t* e, const camera_t* c, double* light,

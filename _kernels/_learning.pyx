@@ -74,7 +74,9 @@ def learning_past(past_t[::1] events not None, const int64_t[::1] start not None
                 e.run = min(events[k - 1].run + 1, 3) if same else 1
                 e.context = context_of(e.run, before, before2)
                 e.before = <float>before
-                e.weight = <float>weight_of(before, same, camera_)
+                e.weight = <float>weight_of(
+                    before, before2, same, events[k - 1].run if k > start[i] else 0,
+                    camera_)
                 x = log_f(<float>max(before, 1e-6) / <float>2e-3) / 1.3862943611198906
                 x = min(max(x, 0.0), CLASSES - 1.000001)
                 c = <Py_ssize_t>x

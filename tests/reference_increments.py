@@ -36,9 +36,8 @@ class Pixel:
             self.context.append(3 if self.run[-1] < 2 else 2 if self.run[-1] < 3 else
                                 0 if before < self.before[-1] else 1)
             self.before.append(before)
-            d, on = m.dead_s, int(sign > 0)
-            # (4)
-            self.weight.append(1 + d / max(before - d, d / 4) if same and d else 1.0)
+            on = int(sign > 0)
+            self.weight.append(self.stands_for(before, k, same))
             x = min(max(math.log(max(before, 1e-6) / 2e-3) / math.log(4), 0), 4 - 1e-6)
             i = int(x)
             step = m.theta[on] + (1 - x + i) * m.by_class[on, i] + (
@@ -46,6 +45,26 @@ class Pixel:
             passed = np.eye(2)[on] * sign * self.weight[-1]
             self.light.append(self.light[-1] + passed * step)
             self.count.append(self.count[-1] + passed)
+
+    def live(self, gap):
+        """What of a gap the pixel was not held in reset."""
+        return max(gap - self.m.dead_s, self.m.dead_s / 4)
+
+    def pace(self, k, gap):
+        """The gap before event k, of a turn in the gap after it."""
+        q = TURN if self.context[k] == 3 else self.before[k] / gap
+        return gap * min(max(q, EARLIEST_TURN), 1)
+
+    def stands_for(self, gap, k, same):
+        """Thresholds of event k, which comes after a gap.  (4)"""
+        d = self.m.dead_s
+        if k == 0 or d == 0:
+            return 1.0
+        if same:
+            return 1 + d / self.live(gap)
+        before = self.pace(k - 1, gap)
+        return gap / (before + gap) * (
+            (self.live(before) + gap) / self.live(gap) - d / self.live(before))
 
     def last(self, t):
         """Index of the last event at or before t, -1: none."""
@@ -66,13 +85,14 @@ class Pixel:
         if self.last(known) > k:
             gap = 1e-6 * max(self.t[k + 1] - self.t[k], 1)
             s, to = since / gap, self.signs[k + 1]
-            p = moves(gap, m) * self.weight[k + 1]
-            part[int(to > 0)], rate[int(to > 0)] = to * s * p, to * p / gap
+            p, w = moves(gap, m), self.weight[k + 1]
+            part[int(to > 0)], rate[int(to > 0)] = to * s * p * w, to * p * w / gap
             if to != sign:
-                q = TURN if self.context[k] == 3 else min(
-                    max(self.before[k] / gap, EARLIEST_TURN), 1)
-                part[on] = sign * s * (1 - s) / q * p
-                rate[on] = sign * (1 - 2 * s) / q * p / gap
+                before = self.pace(k, gap)
+                h = gap**2 / (before + gap) * (
+                    1 / self.live(gap) + 1 / self.live(before))
+                part[on] = sign * s * (1 - s) * p * h
+                rate[on] = sign * (1 - 2 * s) * p * h / gap
             return part, rate, 0.0
         length = max(1e-6 * (known - self.t[k]), 1e-6)
         before = max(self.before[k], 1e-5)

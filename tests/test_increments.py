@@ -95,6 +95,20 @@ def test_it_equals_its_plain_version(mode, name, exposure):
     assert known.all()
 
 
+def test_light_that_turns_in_a_parabola_is_exact_in_spite_of_dead_time():
+    """(4) and (2b): J = 150 t - 2e4 t^2, thresholds of .2, 1 ms of reset."""
+    rise, bend, dead, theta = 150.0, -2e4, 1e-3, 0.2
+    live = (rise - np.sqrt(rise**2 - 4 * bend * theta)) / (2 * bend)
+    after = np.roots([bend, rise, theta - rise * dead - bend * dead**2]).max()
+    times = np.round(1e6 * np.array([-0.01, -live - dead, 0, after])).astype(int)
+    pixel = reference_increments.Pixel(times, [1, 1, 1, -1], -20_000, PLAIN.replace(
+        theta=np.full(2, theta), dead_s=dead))
+    for share in (0.2, 0.5, 0.999, 1.0):
+        t = share * times[-1]
+        change = (pixel.y(t, 10**6)[0] - pixel.y(0, 10**6)[0]).sum()
+        assert change == pytest.approx(1e-6 * t * (rise + bend * 1e-6 * t), abs=2e-3)
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_pixels_that_have_been_still_are_shown_as_others(mode, monkeypatch):
     """They are not looked at until an event comes (`increments_rest`)."""
