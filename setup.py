@@ -68,6 +68,7 @@ SHARED = (
     "_lamp.h",
     "_lamp.pxd",
     "_line.h",
+    "_lz4.h",
     "_math.h",
     "_math.pxd",
     "_model.pxd",

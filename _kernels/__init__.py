@@ -6,7 +6,7 @@ import importlib
 
 _MODULES = {
     "_aedat2": "aedat2_rows aedat2_samples",
-    "_aedat4": "aedat4_events aedat4_table_fields aedat4_vector",
+    "_aedat4": "aedat4_events aedat4_packets aedat4_table_fields aedat4_vector",
     "_aop_events": "aop_event_stokes",
     "_build": "DEBUG",
     "_bus": "read_out sort_events",

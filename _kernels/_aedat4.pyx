@@ -1,9 +1,9 @@
 """AEDAT-4 payloads: event structs and vectors of tables."""
 from libc.stdint cimport (
     int16_t, int32_t, int64_t, uint8_t, uint16_t, uint32_t, uint64_t)
-from libc.string cimport memcpy, memset
+from libc.string cimport memcmp, memcpy, memset
 
-from _kernels._check cimport BACKWARD, FILLED, LAST, STATE, put
+from _kernels._check cimport BACKWARD, FILLED, LAST, STATE, far_us, put
 from _kernels._types cimport event_t
 
 cdef enum:
@@ -15,6 +15,53 @@ cdef extern from "_aedat4.h" nogil:
     bint plain_events(const uint8_t*, Py_ssize_t, uint64_t, bint, int64_t, uint8_t*)
 
 
+cdef extern from "_lz4.h" nogil:
+    Py_ssize_t lz4_frame(const uint8_t*, Py_ssize_t, uint8_t*, Py_ssize_t)
+
+
+cdef void append(const uint8_t* source, Py_ssize_t n, int64_t first, int64_t last,
+                 Py_ssize_t height, Py_ssize_t width, bint flip, int64_t* state,
+                 event_t* out) noexcept nogil:
+    """Append n events, without those whose time is not in first .. last."""
+    cdef Py_ssize_t block, left
+    cdef int64_t t
+    cdef int16_t[2] place
+    cdef event_t* to
+    cdef uint64_t corner = <uint64_t>(width - 1 | height - 1 << 16)
+    while n > 0:
+        block = min(n - 1, BLOCK)       # the last event has none after it
+        memcpy(&t, source, 8)
+        to = out + state[FILLED]
+        if block and first <= t and plain_events(
+                source, block, corner, flip, state[LAST], <uint8_t*>to) and (
+                to[block - 1].t <= last):
+            state[FILLED] += block
+            state[LAST] = to[block - 1].t
+            source += block * STRIDE
+            n -= block
+            continue
+        left = n - max(block, 1)
+        while n > left:
+            memcpy(&t, source, 8)
+            memcpy(&place, source + 8, 4)
+            if t < first or t > last:
+                state[BACKWARD] += 1
+            else:
+                put(out, t, place[0], height - 1 - place[1] if flip else place[1],
+                    source[12], height, width, state)
+            source += STRIDE
+            n -= 1
+
+
+cdef int checked(Py_ssize_t height, Py_ssize_t width, const int64_t[::1] state
+                 ) except -1:
+    if state.shape[0] != STATE:
+        raise ValueError("aedat4_events: state must hold 7 numbers")
+    if not (0 < height <= 1 << 15 and 0 < width <= 1 << 15):
+        raise ValueError("aedat4_events: a sensor has 1 to 32768 rows and columns")
+    return 0
+
+
 def aedat4_events(const uint8_t[::1] data not None, Py_ssize_t at, Py_ssize_t n,
                   Py_ssize_t height, Py_ssize_t width, bint flip, int64_t first,
                   int64_t last, int64_t[::1] state not None,
@@ -24,49 +71,14 @@ def aedat4_events(const uint8_t[::1] data not None, Py_ssize_t at, Py_ssize_t n,
     state is as in _check.pxd.  flip turns rows upside down.  Events whose time is not
     in first .. last are dropped.
     """
-    cdef Py_ssize_t block, left
-    cdef int64_t t
-    cdef int16_t[2] place
-    cdef const uint8_t* source
-    cdef event_t* to
-    cdef uint64_t corner
-    if state.shape[0] != STATE:
-        raise ValueError("aedat4_events: state must hold 7 numbers")
-    if not (0 < height <= 1 << 15 and 0 < width <= 1 << 15):
-        raise ValueError("aedat4_events: a sensor has 1 to 32768 rows and columns")
-    corner = <uint64_t>(width - 1 | height - 1 << 16)
+    checked(height, width, state)
     if n < 0 or at < 0 or at > data.shape[0] or n > (data.shape[0] - at) // STRIDE:
         raise ValueError("aedat4_events: events lie outside data")
     if state[FILLED] < 0 or state[FILLED] > out.shape[0] - n:
         raise ValueError("aedat4_events: out is too small")
-    if n == 0:
-        return
-    source = &data[0] + at
-    with nogil:
-        while n > 0:
-            block = min(n - 1, BLOCK)       # the last event has none after it
-            memcpy(&t, source, 8)
-            to = &out[0] + state[FILLED]
-            if block and first <= t and plain_events(
-                    source, block, corner, flip, state[LAST], <uint8_t*>to) and (
-                    to[block - 1].t <= last):
-                state[FILLED] += block
-                state[LAST] = to[block - 1].t
-                source += block * STRIDE
-                n -= block
-                continue
-            left = n - max(block, 1)
-            while n > left:
-                memcpy(&t, source, 8)
-                memcpy(&place, source + 8, 4)
-                if t < first or t > last:
-                    state[BACKWARD] += 1
-                else:
-                    put(&out[0], t, place[0],
-                        height - 1 - place[1] if flip else place[1], source[12],
-                        height, width, &state[0])
-                source += STRIDE
-                n -= 1
+    if n:
+        with nogil:
+            append(&data[at], n, first, last, height, width, flip, &state[0], &out[0])
 
 
 cdef inline Py_ssize_t field_at(const uint8_t* data, Py_ssize_t size,
@@ -104,24 +116,81 @@ cdef enum:
     ROOT = 4        # of a buffer that its size precedes
 
 
+cdef (Py_ssize_t, Py_ssize_t) vector(const uint8_t* data, Py_ssize_t size, int field,
+                                     Py_ssize_t item) noexcept nogil:
+    cdef Py_ssize_t at = -1
+    cdef uint32_t step, count = 0
+    if size >= ROOT + 4 and field >= 0 and item > 0:
+        at = field_at(data, size, ROOT, field, 4)
+    if at <= 0:
+        return at, 0
+    memcpy(&step, data + at, 4)
+    at += step
+    if at > size - 4:
+        return -1, 0
+    memcpy(&count, data + at, 4)
+    at += 4
+    return at if count <= (size - at) // item else -1, count
+
+
 def aedat4_vector(const uint8_t[::1] data not None, int field, Py_ssize_t item):
     """Return where the items of a vector in the root table lie, and their number.
 
     Where it has none both are 0; the place is -1 if they lie outside data.
     """
-    cdef Py_ssize_t size = data.shape[0], at = -1
-    cdef uint32_t step, count = 0
-    if size >= ROOT + 4 and field >= 0 and item > 0:
-        at = field_at(&data[0], size, ROOT, field, 4)
-    if at <= 0:
-        return at, 0
-    memcpy(&step, &data[at], 4)
-    at += step
-    if at > size - 4:
-        return -1, 0
-    memcpy(&count, &data[at], 4)
-    at += 4
-    return at if count <= (size - at) // item else -1, count
+    return vector(&data[0], data.shape[0], field, item)
+
+
+def aedat4_packets(const uint8_t[::1] block not None, int64_t begin,
+                   const int64_t[:, ::1] index not None, Py_ssize_t number,
+                   Py_ssize_t stop, int stream, bint packed, Py_ssize_t height,
+                   Py_ssize_t width, bint flip, uint8_t[::1] unpacked not None,
+                   int64_t[::1] state not None, event_t[::1] out not None):
+    """Append the events of packets of an index from a number on to out.
+
+    Returns the first, of those before stop, that is not as the index says, or damaged,
+    or too large.  index has place, size, number of events, first and last time of each
+    packet of the stream; events beyond the times of its neighbours are dropped.  block
+    holds the file from begin on.  Packets are unpacked as LZ4 if they are packed, one
+    after the other into the same memory.  state and flip are as of aedat4_events.
+    """
+    cdef int32_t[2] head
+    cdef uint32_t prefix
+    cdef Py_ssize_t at, size, n, count
+    cdef int64_t first, last
+    cdef const uint8_t* data
+    checked(height, width, state)
+    if number < 0 or stop > index.shape[0] or index.shape[1] != 5 or (
+            begin < 0 or state[FILLED] < 0):
+        raise ValueError("aedat4_packets: index or state is wrong")
+    with nogil:
+        while number < stop:
+            at, size = index[number, 0], index[number, 1]
+            n = index[number, 2]
+            if at - 8 < begin or not 0 < size <= block.shape[0] - (at - begin) or (
+                    n > unpacked.shape[0] // STRIDE):
+                break
+            data = &block[at - begin]
+            memcpy(&head, data - 8, 8)
+            if head[0] != stream or head[1] != size:
+                break
+            if packed:
+                size = lz4_frame(data, size, &unpacked[0], unpacked.shape[0])
+                data = &unpacked[0]
+            if size < 12 or memcmp(data + 8, b"EVTS", 4):
+                break
+            memcpy(&prefix, data, 4)
+            at, count = vector(data, size, 0, STRIDE)
+            if prefix > size - 4 or at < 0 or n != count or (
+                    n > out.shape[0] - state[FILLED]):
+                break
+            if n:
+                first = index[number - 1, 4] if number else -far_us()
+                last = index[number + 1, 3] if number + 1 < index.shape[0] else far_us()
+                append(data + at, n, first, last, height, width, flip, &state[0],
+                       &out[0])
+            number += 1
+    return number
 
 
 def aedat4_table_fields(const uint8_t[::1] data not None, Py_ssize_t at, int field,

@@ -27,6 +27,11 @@ def aedat4_events(
     data: bytes | memoryview | _U8, at: int, n: int, height: int, width: int,
     flip: bool, first: int, last: int, state: _I64, out: NDArray[Any],
 ) -> None: ...
+def aedat4_packets(
+    block: _U8, begin: int, index: _I64, number: int, stop: int, stream: int,
+    packed: bool, height: int, width: int, flip: bool, unpacked: _U8, state: _I64,
+    out: NDArray[Any],
+) -> int: ...
 def aedat4_vector(
     data: bytes | memoryview, field: int, item: int,
 ) -> tuple[int, int]: ...

@@ -18,13 +18,13 @@ from pdavis_cv import (
 from pdavis_cv.recording.hdf5.writer import write_hdf5
 
 
-def sample():
+def sample(count=5000):
     """Return a recording that every format can hold."""
     size = (128, 128)
     frames = [ApsFrame(np.full(size, 300 + k), t, t + 4_000) for k, t in enumerate(
         (10_000, 50_000))]
     return recording_from_arrays(
-        random_events(5000, size, seed=2, stop_us=100_000), frames, sensor_size=size)
+        random_events(count, size, seed=2, stop_us=100_000), frames, sensor_size=size)
 
 
 def from_packets(recording, *interval):
@@ -100,16 +100,21 @@ def test_segments_follow_one_another_as_in_the_packets(tmp_path):
     assert got["t"].tolist() == [t, t + 10, t + 11, t + 15]
 
 
+@pytest.mark.parametrize("events", [200, 5000])
 @pytest.mark.filterwarnings("ignore::pdavis_cv.DamagedFileWarning")
-def test_an_index_that_promises_too_few_or_too_many_events_does_no_harm(tmp_path):
+def test_an_index_that_promises_too_few_or_too_many_events_does_no_harm(
+        tmp_path, events):
     path = tmp_path / "x"
-    write_aedat4(path, sample())
+    write_aedat4(path, sample(events))
     with open_recording(path) as recording:
-        wanted = recording.events()
+        wanted, entries = recording.events(), recording._streams["EVTS"].entries
         for count in (0, 1, 1 << 61):
-            for entry in recording._streams["EVTS"].entries:
-                entry.count = count
+            recording._file.index[entries[0].stream][:, 2] = count
+            entries[:] = [entry._replace(samples=count) for entry in entries]
             np.testing.assert_array_equal(recording.events(), wanted)
+            for start in range(0, 100_000, 3_333):
+                np.testing.assert_array_equal(
+                    recording.events(start), wanted[wanted["t"] >= start])
         [problem] = recording.problems
         assert "events, 0 by the index" in problem.message
 
@@ -126,7 +131,7 @@ def test_a_damaged_packet_costs_its_events_only(tmp_path):
     with open_recording(path) as recording:
         with pytest.warns(DamagedFileWarning, match=f"byte {entry.offset - 8}"):
             got = recording.events()
-        assert len(got) == len(wanted) - entry.count
+        assert len(got) == len(wanted) - entry.samples
         assert np.isin(got, wanted).all()
 
 

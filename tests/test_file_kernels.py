@@ -1,6 +1,8 @@
 """Kernels that decode and encode files equal their twins."""
+import struct
 import threading
 
+import lz4.frame
 import numpy as np
 import pytest
 import reference_files
@@ -21,6 +23,20 @@ def decode4(data, at, n, *, flip=False):
     state[5] = 0
     _kernels.aedat4_events(data, at, n, *SIZE, flip, -1, 1 << 61, state, out)
     return out[:state[0]], state
+
+
+def packets4(payloads, counts, ends=(-1, 1 << 61), *, packed=True, room=1 << 17):
+    """Return the events of packets, and how many packets were as usual."""
+    block, rows = b"", []
+    for payload, count in zip(payloads, counts, strict=True):
+        block += struct.pack("<ii", 3, len(payload))
+        rows.append((1000 + len(block), len(payload), count, ends[1], ends[0]))
+        block += payload
+    out, state = np.empty(sum(counts), EVENT_DTYPE), state4()
+    done = _kernels.aedat4_packets(
+        np.frombuffer(block, np.uint8), 1000, np.array(rows, np.int64), 0, len(rows), 3,
+        packed, *SIZE, False, np.empty(room, np.uint8), state, out)
+    return out[:state[0]], done
 
 
 def rows2(words, size, state):
@@ -178,6 +194,76 @@ def test_vectors_of_any_flatbuffer_equal_their_twin():
                 reference_files.aedat4_vector(other, field, size))
     assert _kernels.aedat4_vector(data, -1, 1) == (-1, 0)
     assert _kernels.aedat4_vector(data, 0, 0) == (-1, 0)
+
+
+@pytest.mark.parametrize("options", [
+    {}, {"block_linked": False}, {"store_size": False, "block_size": 7},
+    {"compression_level": 9}, {"compression_level": -9}])
+def test_packets_of_aedat4_equal_their_twins(options):
+    counts = [0, 1, 2, 50, 7000]
+    parts = [random_events(n, SIZE, seed=n, stop_us=10 * n + 1, read_only=False)
+             for n in counts]
+    parts[3]["t"][7:] = parts[3]["t"][7]            # long matches
+    parts[4]["t"] = np.sort(np.random.default_rng(1001).integers(0, 1 << 60, 7000))
+    data = [reference_files.aedat4_flatbuffer(b"EVTS", part) for part in parts]
+    data.insert(2, data[2] + bytes(70_000))         # runs over a block
+    counts.insert(2, 2)
+    packed = [lz4.frame.compress(one, **options) for one in data]
+    wanted = np.concatenate([reference_files.aedat4_events(
+        one, 32, n, *SIZE) for one, n in zip(data, counts, strict=True)])
+    for payloads in (packed, data):
+        got, done = packets4(payloads, counts, packed=payloads is packed)
+        assert done == len(counts)
+        np.testing.assert_array_equal(got, wanted)
+    got, done = packets4(packed[4:5] * 3, counts[4:5] * 3, (9, 30))
+    late, early = parts[3]["t"] >= 9, parts[3]["t"] <= 30
+    np.testing.assert_array_equal(got, np.concatenate([
+        parts[3][keep] for keep in (early, late & early, late)]))
+    assert done == 3
+    assert late.sum() < 50 > early.sum()
+
+
+def test_packets_of_aedat4_that_are_not_as_usual_are_left():
+    data = reference_files.aedat4_flatbuffer(b"EVTS", random_events(30, SIZE, seed=1))
+    good = lz4.frame.compress(data)
+    rng = np.random.default_rng(1002)
+    noise = rng.integers(0, 256, 40, np.uint8).tobytes()
+    for bad in (b"", b"x", good[:-4], good[:9], good[:40] + good[50:], noise,
+                lz4.frame.compress(data, content_checksum=True),
+                lz4.frame.compress(data, block_checksum=True),
+                lz4.frame.compress(b""), lz4.frame.compress(data[:-1]),
+                lz4.frame.compress(data.replace(b"EVTS", b"IMUS"))):
+        got, done = packets4([good, bad, good], [30, 30, 30])
+        assert (len(got), done) == (30, 1)
+    assert packets4([good, good], [30, 29])[1] == 1
+    assert packets4([good], [30], room=len(data) - 1)[1] == 0
+    assert packets4([good], [30], room=len(data))[1] == 1
+    with pytest.raises(ValueError, match="index or state"):
+        _kernels.aedat4_packets(
+            np.zeros(9, np.uint8), 0, np.zeros((2, 5), np.int64), 0, 3, 0, True, *SIZE,
+            False, np.zeros(9, np.uint8), state4(), np.empty(0, EVENT_DTYPE))
+
+
+def test_damaged_lz4_gives_what_its_library_gives_or_nothing():
+    rng = np.random.default_rng(1003)
+    events = random_events(600, SIZE, seed=2, read_only=False)
+    events["t"][100:200] = 7 << 40
+    data = reference_files.aedat4_flatbuffer(b"EVTS", events)
+    good, taken = lz4.frame.compress(data, block_size=4), 0
+    for _ in range(3000):
+        bad = bytearray(good)
+        for place in rng.integers(7, len(bad), rng.integers(1, 4)):
+            bad[place] = rng.choice((0, 1, 15, 16, 240, 255, rng.integers(256)))
+        got, done = packets4([bytes(bad)], [600], (-(1 << 61), 1 << 61))
+        try:
+            wanted = lz4.frame.decompress(bytes(bad))
+        except RuntimeError:
+            continue
+        taken += done
+        if done:
+            np.testing.assert_array_equal(got, reference_files.aedat4_events(
+                wanted, 32, 600, *SIZE, first=-(1 << 61)))
+    assert taken > 300
 
 
 def test_any_words_decode_without_harm():

@@ -222,8 +222,9 @@ class ApsFrame(Advises):
 
 # glibc returns memory at the end of its heap to the system, but from then on that a
 # block of this size was released it keeps as much: each packet would else come of
-# pages that the system has to make, which takes longer than to decode it.
-np.empty(1 << 23, np.uint8)
+# pages that the system has to make, which takes longer than to decode it.  Blocks above
+# 32 MB do not count.
+np.empty(31 << 20, np.uint8)
 
 
 def joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:

@@ -118,8 +118,12 @@ class Budget:
         if size > self.limits.work_per_byte * self.size + _LEAST_WORK:
             raise self.over("work_per_byte", f"{size} bytes searched for packets")
 
-    def time(self, t_us: int) -> None:
-        """Raise RecordingError if a time is too far from the first one."""
+    def time(self, t_us: int) -> int:
+        """Raise RecordingError if a time is too far from the first one.
+
+        The last time that is not is returned.
+        """
         self._first = min(self._first, t_us)
         if t_us - self._first > self.limits.time_span:
             raise self.over("time_span", f"times {self._first} to {t_us} us")
+        return self._first + self.limits.time_span

@@ -30,6 +30,9 @@ _PIXEL = 5
 """Bytes of a frame's pixel: its DN, and whether it is valid."""
 _MOST_KEPT = 32
 """A packet that keeps more than so many times its own memory is copied."""
+_SMALL, _TOGETHER = 1 << 14, 16
+"""Bytes up to which it takes longer to begin a copy than to make it; so many of them
+are copied together."""
 
 
 @dataclass(slots=True, eq=False)
@@ -73,7 +76,7 @@ def packetise(
     end = END_OF_TIME if stop_us is None else stop_us
     begin = first if start_us is None else cell_start(start_us)
     whole = start_us is stop_us is None
-    taken = 0
+    taken, latest = 0, -END_OF_TIME
     for batch in chain(batches, (Batch(),)):
         for queue, samples in zip(
                 queues, (batch.events, batch.imu, batch.triggers), strict=True):
@@ -81,20 +84,29 @@ def packetise(
                 queue.put(samples, begin)
                 taken += samples.nbytes
         frames.extend(f for f in batch.frames if f.available_us >= begin)
+        others = None   # when the next sample comes that is no event
         while True:
-            closing = frames[0].available_us if frames else END_OF_TIME
-            at = min(events.next_us, imu.next_us, triggers.next_us, closing)
+            if others is None:
+                closing = frames[0].available_us if frames else END_OF_TIME
+                others = min(imu.next_us, triggers.next_us, closing)
+            at = events.next_us if events.next_us < others else others
             if at >= end:
                 break
-            until = min(cell_start(at) + MAX_PACKET_US, closing + 1)
+            until = at - at % MAX_PACKET_US + MAX_PACKET_US
+            if until > closing:
+                until = closing + 1
             if until > batch.complete_us:
                 break
-            if budget is not None:
-                budget.time(at)
+            if at > latest:
+                latest = END_OF_TIME if budget is None else budget.time(at)
             part = events.take(until, MAX_PACKET_EVENTS)
-            part_end = min(events.next_us, until)
-            shut = (frames.popleft(),) if part_end > closing else ()
-            packet = Packet(part, shut, imu.take(part_end), triggers.take(part_end))
+            if others >= until:
+                packet = Packet(part, (), imu.none, triggers.none)
+            else:
+                part_end, others = min(events.next_us, until), None
+                shut = (frames.popleft(),) if part_end > closing else ()
+                packet = Packet(
+                    part, shut, imu.take(part_end), triggers.take(part_end))
             if not whole:
                 packet = _cut(packet, first, end)
             if whole or packet.start_us is not None:
@@ -127,12 +139,12 @@ def between(samples: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
 class _Queue:
     """Samples of one kind that are not yet in a packet, each piece of one cell."""
 
-    __slots__ = ("_empty", "_most", "_pieces", "nbytes", "next_us")
+    __slots__ = ("_most", "_pieces", "nbytes", "next_us", "none")
 
     def __init__(self, dtype: np.dtype[Any], most: int) -> None:
         self._most = most
         self._pieces: deque[tuple[int, NDArray[Any]]] = deque()
-        self._empty = np.empty(0, dtype)
+        self.none = np.empty(0, dtype)
         self.nbytes = 0
         self.next_us = END_OF_TIME
 
@@ -140,29 +152,40 @@ class _Queue:
         starts, times = _kernels.cells(
             np.ascontiguousarray(samples).view(np.uint8), samples.itemsize,
             MAX_PACKET_US)
-        for t, start, stop in zip(times, starts, [*starts[1:], None], strict=True):
-            if t >= begin:
-                self._pieces.append((t, piece := samples[start:stop]))
-                self.nbytes += piece.nbytes
+        first = bisect_left(times, begin)
+        starts.append(len(samples))
+        self.nbytes += (len(samples) - starts[first]) * samples.itemsize
+        base, block, at = samples.base, samples, 0
+        small = self._most and base is not None and (
+            samples.nbytes < min(_SMALL, base.nbytes / self._most) * len(times))
+        step = _TOGETHER if small else len(times)
+        for i in range(first, len(times), step):
+            ends = starts[i:i + step + 1]
+            if small:
+                block, at = joined([samples[ends[0]:ends[-1]]]), ends[0]
+            self._pieces.extend((t, block[start - at:stop - at]) for t, start, stop in
+                                zip(times[i:], ends, ends[1:], strict=False))
         self.next_us = self._pieces[0][0] if self._pieces else END_OF_TIME
 
     def take(self, until: int, limit: int = END_OF_TIME) -> NDArray[Any]:
         """Remove and return samples before until, at most limit, all of one cell."""
         if self.next_us >= until:
-            return self._empty
-        pieces, got = self._pieces, []
-        while pieces and limit > 0 and pieces[0][0] < until:
+            return self.none
+        pieces, got, partial = self._pieces, [], until % MAX_PACKET_US
+        while self.next_us < until and limit > 0:
             _, piece = pieces.popleft()
-            hi = min(len(piece), limit)
-            if until % MAX_PACKET_US:
-                hi = bisect_left(piece["t"], until, 0, hi)
-            if hi < len(piece):
-                pieces.appendleft((int(piece["t"][hi]), piece[hi:]))
-                piece = piece[:hi]
+            if partial or len(piece) > limit:
+                hi = min(len(piece), limit)
+                if partial:
+                    hi = bisect_left(piece["t"], until, 0, hi)
+                if hi < len(piece):
+                    pieces.appendleft((int(piece["t"][hi]), piece[hi:]))
+                    piece = piece[:hi]
             got.append(piece)
-            limit -= hi
-        self.next_us = pieces[0][0] if pieces else END_OF_TIME
-        found, base = got[0], got[0].base
+            limit -= len(piece)
+            self.next_us = pieces[0][0] if pieces else END_OF_TIME
+        found = got[0]
+        base = found.base
         if len(got) > 1 or base is None or base.nbytes > self._most * found.nbytes:
             found = joined(got)
         self.nbytes -= found.nbytes

@@ -135,6 +135,7 @@ class Clock:
         out = memory.room(held + count)
         if self._held is not None:
             copy_rows(self._held, out[:held])
+            self._held = out[:held]     # what was there may be written over
         state = self.state
         state[FILLED] = state[ORDERED] = held
         state[LAST], state[OUTSIDE], state[BACKWARD] = NEVER, 0, 0

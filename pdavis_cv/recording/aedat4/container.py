@@ -6,15 +6,16 @@ FlatBuffer IOHE, packets of (int32 stream, int32 size, payload), a table FTAB.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
 from lz4.frame import create_decompression_context, decompress_chunk
+from numpy.typing import NDArray
 
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.aedat4 import samples
@@ -23,6 +24,7 @@ from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.files import ProblemLog, clock_text
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.search import Search
+from pdavis_cv.recording.timeline import NEVER
 
 MAGIC = b"#!AER-DAT4.0\r\n"
 COMPRESSIONS = ("none", "LZ4", "LZ4_HIGH", "ZSTD", "ZSTD_HIGH")
@@ -41,14 +43,13 @@ _HEAD = 24
 """Bytes that identify a packet: its header, and the beginning of its payload."""
 
 
-@dataclass(slots=True, eq=False)
-class Entry:
-    """The location of a packet; count and times are None without an index."""
+class Entry(NamedTuple):
+    """The location of a packet; samples and times are None without an index."""
 
     stream: int
     offset: int
     size: int
-    count: int | None = None
+    samples: int | None = None
     start_us: int | None = None
     stop_us: int | None = None
 
@@ -86,6 +87,8 @@ class Aedat4File:
     streams : dict of int to Stream
     indexed : bool
         True if the file has a usable index.
+    index : dict of int to ndarray of int64, shape (N, 5)
+        The entries of a stream, if it has the times of all packets, in order.
 
     Raises
     ------
@@ -101,7 +104,7 @@ class Aedat4File:
         self._shift = self._sought = 0
         self._nowhere: set[int] = set()
         self._read_header()
-        self.indexed = False
+        self.indexed, self.index = False, dict[int, NDArray[np.int64]]()
         self.indexed = self._read_index()
         if not self.indexed:
             for entry in self._walk():
@@ -156,26 +159,30 @@ class Aedat4File:
         """Use an index; return False if it lacks counts and times."""
         if payload[8:12] != b"FTAB":  # DV compresses it, jAER does not
             payload = decompressed(payload, self.compression, self.budget)
-        rows = sorted(Table(payload, b"FTAB").rows(0, np.int64, 5).tolist())
-        if rows and not any(map(any, (row[2:] for row in rows))):
+        rows = Table(payload, b"FTAB").rows(0, np.int64, 5)
+        rows = rows[np.argsort(rows[:, 0], kind="stable")]
+        if len(rows) and not rows[:, 2:].any():
             return False  # some writers fill in the places only
-        end = self.data_start
+        number, size = rows[:, 1] & 0xFFFFFFFF, rows[:, 1] >> 32
+        ends = self.data_start + np.cumsum(8 + size)
         # Offsets are those of the payload in DV, of the packet's header in jAER.
-        header = 0 if rows and rows[0][0] == end else 8
-        for place, kind, number, start, stop in rows:
-            stream, size = kind & 0xFFFFFFFF, kind >> 32
-            if place != end + header:
-                raise PayloadError("its entries do not add up to the file")
-            if stream not in self.streams:
-                raise PayloadError("it names a stream that the header does not")
-            if number < 0:
-                raise PayloadError("it holds a negative number of elements")
-            self.streams[stream].entries.append(
-                Entry(stream, end + 8, size, number, start, stop))
-            end += 8 + size
-        if end != self.table_position:
-            raise PayloadError("its entries do not add up to the file" if rows else
+        header = 8 * (rows[:1, 0].tolist() == [self.data_start])
+        if not np.array_equal(rows[:, 0] + header, ends - size) or (
+                [self.data_start, *ends][-1] != self.table_position):
+            raise PayloadError("its entries do not add up to the file" if len(rows) else
                                "it is empty, but the file holds packets")
+        if not self.streams.keys() >= set(number.tolist()):
+            raise PayloadError("it names a stream that the header does not")
+        if np.any(rows[:, 2] < 0):
+            raise PayloadError("it holds a negative number of elements")
+        rows[:, 0], rows[:, 1] = ends - size, size
+        for stream in self.streams.values():
+            own = rows[number == stream.number]
+            stream.entries.extend(map(Entry._make, zip(
+                itertools.repeat(stream.number), *own.T.tolist(), strict=False)))
+            times = np.concatenate(([NEVER], own[:, 3:].ravel(), [-NEVER]))
+            if np.all(times[1:] >= times[:-1]):
+                self.index[stream.number] = own
         return True
 
     # Packets -------------------------------------------------------------------
@@ -208,7 +215,8 @@ class Aedat4File:
                 self.log.damage(
                     at, f"byte {at}: a packet that should end at byte {after} "
                     f"ends at {inside}", offset=at)
-                entry.size, after = max(inside - entry.offset, 0), inside
+                entry = entry._replace(size=max(inside - entry.offset, 0))
+                after = inside
             following = self._plausible(after, limit)
             yield entry
             at, entry = after, following

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import contextlib
+from bisect import bisect_right
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,10 @@ KEPT_BYTES = 1 << 22
 GROUP, SMALL = 16, 16384
 """So many packets are put in order at a time, if none has more events; they lie between
 multiples of the number, so that findings are those of any other reading."""
+RUN = 1 << 17
+"""Packets that begin in the same piece of the file of this size are read together."""
+_ROOM = samples.EVENT * SMALL + 1024
+"""Bytes to which a small packet is unpacked."""
 
 Mark = tuple[str, int, Clock, tuple[int, int]]
 """Kind and number of a packet, clock before it, middle and end of the last frame."""
@@ -102,6 +107,11 @@ class Cursor:
         self._raw: dict[int, samples.RawFrame] = {}
         self.last = NEVER
         self.begins, self._known = 0, known
+        self._index = file.index[entries[0].stream] if (
+            kind == "EVTS" and entries and timeline is None and not strict
+            and not file.compression.startswith("ZSTD")) else None
+        self._unpacked = np.empty(min(_ROOM, file.budget.most(0)), np.uint8)
+        self._run = RUN - 1
 
     @property
     def mark(self) -> Mark:
@@ -138,7 +148,7 @@ class Cursor:
         All before lie before them, whatever is damaged there.
         """
         try:
-            times = self._decoded(number, keep=True)["t"]
+            times = self._decoded(number, keep=self._index is None)["t"]
         except PayloadError:
             return 0
         first, last = self._neighbours(number)
@@ -150,39 +160,52 @@ class Cursor:
     def _events(self, number: int, *, final: bool) -> NDArray[Any]:
         if final:
             return self.clock.settled(self.clock.room(self._memory, 0), final=True)
-        packets, entries = [], self._entries
-        if self._trusted and not self._strict:
-            group = entries[number:number - number % GROUP + GROUP]
-            if all(e.count <= SMALL for e in group):    # type: ignore[operator]
-                self.next = number + len(group)
-        for i in range(number, self.next):
-            try:
-                packets.append((i, *self._vector(i)))
-            except PayloadError as error:
-                self._file.lost(entries[i], error)
+        if self._index is not None:
+            stop = number - number % GROUP + GROUP
+            out = self.clock.room(self._memory, int(
+                np.minimum(self._index[number:stop, 2], SMALL).sum()))
+            self.next = self._plain(number, min(stop, len(self._index)), out)
+            if self.next > number:
+                return self.clock.settled(out)
+            self.next = number + 1
+        data, at, count = self._vector(self._entries[number])
+        bounds = self._neighbours(number) if self._trusted else self._possible(
+            _times(data, at, count))
         state, jumps = self.clock.state, self.clock.jumps
-        out = self.clock.room(self._memory, sum(count for *_, count in packets))
-        for number, data, at, count in packets:
-            bounds = self._neighbours(number) if self._trusted else self._possible(
-                _times(data, at, count))
-            _kernels.aedat4_events(data, at, count, *self._size, self._jaer, *bounds,
-                                   state, out)
+        out = self.clock.room(self._memory, count)
+        _kernels.aedat4_events(data, at, count, *self._size, self._jaer, *bounds,
+                               state, out)
         got = self.clock.settled(out)
         if self._strict and (state[OUTSIDE] or state[BACKWARD]):
-            self._refuse(entries[number], np.ndarray((count,), _EVENT, data, at),
+            self._refuse(self._entries[number], np.ndarray((count,), _EVENT, data, at),
                          bounds, falls=self.clock.jumps == jumps)
         return got
 
-    def _vector(self, number: int) -> tuple[bytes | memoryview, int, int]:
+    def _plain(self, number: int, stop: int, out: NDArray[Any]) -> int:
+        """Append packets that are as usual; return the number of the first other."""
+        index, file = self._index, self._file
+        assert index is not None
+        until = number
+        while number == until < stop and index[number, 2] <= SMALL:
+            begin = int(index[number, 0]) - 8
+            until = bisect_right(index[:, 0], begin | self._run, number + 1, stop)
+            end = min(int(index[until - 1, :2].sum()), begin + RUN + _ROOM)
+            number = _kernels.aedat4_packets(
+                self._memory.read(file.reader, begin, end - begin), begin, index,
+                number, until, self._entries[number].stream, file.compression != "none",
+                *self._size, self._jaer, self._unpacked, self.clock.state, out)
+            self._run = RUN - 1 if number == until else 0
+        return number
+
+    def _vector(self, entry: Entry) -> tuple[bytes | memoryview, int, int]:
         """Return a packet of events, the place of the first, and their number."""
-        entry = self._entries[number]
         table = self._table(entry)
         at, count = table.vector(0, samples.EVENT)
-        if entry.count not in (None, count):
+        if entry.samples not in (None, count):
             begin = entry.offset - 8
             self._file.log.damage(
                 (entry.offset, "count"), f"byte {begin}: a packet of {count} "
-                f"events, {entry.count} by the index", offset=begin)
+                f"events, {entry.samples} by the index", offset=begin)
         return table.data, at, count
 
     def _refuse(self, entry: Entry, events: NDArray[Any], bounds: tuple[int, int], *,

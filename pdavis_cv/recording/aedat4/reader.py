@@ -116,7 +116,7 @@ class Aedat4Recording(PiecewiseRecording):
         counts: dict[str, int | None] = {}
         for kind in KINDS:
             entries = streams[kind].entries if kind in streams else []
-            counts[kind] = sum(e.count or 0 for e in entries) if (
+            counts[kind] = sum(e.samples or 0 for e in entries) if (
                 self._file.indexed or not entries) else None
         source = next(iter(streams.values())).source
         start, stop = self._span()
@@ -211,7 +211,7 @@ class Aedat4Recording(PiecewiseRecording):
         if not frames:
             if start_us is None:
                 # A damaged index may hold any count; the size of a packet limits it.
-                memory.reserve(sum(min(e.count or 0, 16 * e.size) for c in cursors
+                memory.reserve(sum(min(e.samples or 0, 16 * e.size) for c in cursors
                                    for e in self._streams[c.kind].entries))
             for cursor in cursors:
                 while (got := cursor.pull()) is not None:
@@ -289,12 +289,8 @@ class Aedat4Recording(PiecewiseRecording):
     @cached_property
     def _trusted(self) -> bool:
         """Whether the index has the times of all packets, in order."""
-        for stream in self._streams.values() if self._file.indexed else ():
-            times: list[Any] = [NEVER, *(
-                t for e in stream.entries for t in (e.start_us, e.stop_us)), -NEVER]
-            if times != sorted(times):
-                return False
-        return self._file.indexed
+        return self._file.indexed and all(
+            stream.number in self._file.index for stream in self._streams.values())
 
 
 _FIELDS = {"EVTS": "events", "FRME": "frames", "IMUS": "imu", "TRIG": "triggers"}
