@@ -167,8 +167,8 @@ PDAVIS_CLONES PDAVIS_UNUSED static void turning_rows(
         w = error < most ? error : most;
         e->rest[i] = w > -most ? w : -most;
         /* In the lasting sums an event that was noise has less weight. */
-        k = error / k;
-        k = 1.0f / (1.0f + k * k);
+        k *= k;
+        k /= k + error * error;
         wg = k * g;
         wh = k * h;
         e->lasting[0][i] = wg * g;

@@ -67,6 +67,17 @@ def test_thresholds_are_learned_per_pixel(still):
     assert method.common_sigma < 0.05
 
 
+@pytest.mark.parametrize("told", [0.2, 0.32])
+def test_the_first_estimate_corrects_thresholds_of_a_data_sheet(still, told):
+    half_us = 1e6 / (2 * still.hz)
+    method = regression(still, theta_on=told, theta_off=told, centred=False,
+                        events=still.events[still.events["t"] < 6 * half_us])
+    found = method.polarization(round(6 * half_us))
+    _, degree = errors(found, still.dolp, still.aop)
+    assert rms(degree) < 0.04
+    assert np.mean(np.abs(degree) < found.sigmas[1, 0]) > 0.55
+
+
 def test_weak_light_is_stated_only_where_it_is_known():
     scene = Still(degree=(0.05, 0.3), jitter=0.02, seconds=1.4)
     found = at_end(regression(scene, half_turns=40, threshold_sigma=0.05), scene)

@@ -40,6 +40,7 @@ _LEAST_LEARNT = 8.0     # rows of a pixel whose thresholds are learned
 _STILL = 0.08           # most error of a row where only the analyser turns
 _STRONG = 0.3           # degree at which the curve's shape tells thresholds
 _LONGEST_STEP = 0.2     # of ln threshold at once
+_AGAIN = 5              # most estimates at one time, until their mean stays
 
 _ROW_FLOOR = 0.02       # least error of an event's row, thresholds
 _WIDE = 0.5             # of q where nothing is known of it
@@ -163,7 +164,10 @@ class TurningRegression:
             first = int(np.searchsorted(events["t"], self._look_us))
             self._take(events[:first])
             events = events[first:]
-            self._look()
+            self._looks += 1
+            for _ in range(_AGAIN):     # as steps are bounded, and mean and pixels one
+                if self._look() < _COMMON:
+                    break
         self._take(events)
 
     def _take(self, events: Events) -> None:
@@ -185,35 +189,43 @@ class TurningRegression:
         half_turns = float(first * 2**last + most * (self._looks - last))
         return (self._start or 0) + half_turns * self.half_us
 
-    def _look(self) -> None:
-        """Estimate all thresholds from what the pixels have seen."""
-        self._looks += 1
+    def _look(self) -> float:
+        """Estimate all thresholds from what the pixels have seen.
+
+        Returns the largest change of ln of the two means.
+        """
         known = self.common_sigma <= _COMMON or self._sigma < _FIRST_SPREAD
         # NumPy would copy fields one by one.
         whole = self._lasting.view(f"V{_LASTING.itemsize}").ravel()
         cells, log_theta = self._cells.ravel(), self._log_theta.reshape(2, -1)
-        at = np.flatnonzero(self._seen)
-        rows = whole[at]
+        at = np.flatnonzero(self._seen > 0)
+        rows = whole.take(at)
         n1, n0 = (rows.view(_LASTING)[name] for name in ("n1", "n0"))
         enough = n1 + n0 >= _LEAST_LEARNT
         at, lasting = at[enough], rows[enough].view(_LASTING)
-        learned, scale, told = _learned(lasting, log_theta[:, at], self._mean,
+        learned, scale, told = _learned(lasting, log_theta.take(at, 1), self._mean,
                                         _OWN_SPREAD if known else _FIRST_SPREAD)
         whole[at] = lasting.view(whole.dtype)
         log_theta[:, at] = learned
         cells["on"][at], cells["off"][at] = _exp(_exp(learned) / 2)
         cells["scale"][at] = scale
-        still, strong = learned[:, told > 0], learned[:, told == 2]
-        size, ratio = self._mean.mean(), None
+        still, strong = (learned.take(np.flatnonzero(which), 1)
+                         for which in (told > 0, told == 2))
+        size, ratio = float(self._mean.mean()), None
         if still.shape[1] >= _STILL_PIXELS:
             ratio = float(np.median(still[0] - still[1]))
         elif min(self._counts) > 0:     # a pixel that ends where it began has as many
             ratio = math.log(self._counts[1] / self._counts[0])
-        if strong.shape[1] >= _STILL_PIXELS:
+        sized = strong.shape[1] >= _STILL_PIXELS
+        if sized:
             size = float(np.median(strong.sum(0))) / 2
-            self.common_sigma = min(self.common_sigma, _COMMON)
-        if ratio is not None:
-            self._mean = np.array([size + ratio / 2, size - ratio / 2])
+        if ratio is None:
+            return 0.0
+        before, self._mean = self._mean, np.array([size + ratio / 2, size - ratio / 2])
+        change = float(np.abs(self._mean - before).max())
+        if sized:
+            self.common_sigma = min(self.common_sigma, max(_COMMON, change))
+        return change
 
     def add_frame(self, frame: ApsFrame) -> None:
         """Take the level of S0 from a frame."""
@@ -291,8 +303,8 @@ def _learned(
         l22 + ridge - (k * h * h).sum(0), m1 - (o * g).sum(0), m2 - (o * h).sum(0))
     rest = y - q1 * g - q2 * h
     step = -(u * rest + prior * off_mean) / p
-    step = step.clip(-_LONGEST_STEP, _LONGEST_STEP)
     error = left(q1, q2) + (u * u * step * step * n + 2 * u * step * rest).sum(0)
+    step = step.clip(-_LONGEST_STEP, _LONGEST_STEP)
     # Information on both thresholds when q is unknown, inverted for their mean.
     i11, i22 = l22 + ridge, l11 + ridge
     det = np.maximum(i11 * i22 - l12 * l12, _LEAST_DET)
