@@ -109,7 +109,6 @@ class TurningAnalyser:
         rate = np.diff(a) / np.diff(t)
         return np.stack([t, a, np.append(rate, rate[-1])], 1)
 
-
     def steps(
         self, mid_us: ArrayLike, exposure_us: float, pulses_us: ArrayLike | None = None
     ) -> AnalyserSteps:

@@ -78,6 +78,13 @@ def test_the_first_estimate_corrects_thresholds_of_a_data_sheet(still, told):
     assert np.mean(np.abs(degree) < found.sigmas[1, 0]) > 0.55
 
 
+def test_pixels_that_know_nothing_follow_the_mean():
+    scene = Still(degree=(0.1, 0.6), jitter=0.03)
+    method = regression(scene, theta_on=0.2, theta_off=0.2)
+    error = np.log(method.thresholds[:, 0] / [scene.on, scene.off])
+    assert rms(error.mean(0)) < 0.05
+
+
 def test_weak_light_is_stated_only_where_it_is_known():
     scene = Still(degree=(0.05, 0.3), jitter=0.02, seconds=1.4)
     found = at_end(regression(scene, half_turns=40, threshold_sigma=0.05), scene)

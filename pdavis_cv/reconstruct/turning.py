@@ -223,6 +223,10 @@ class TurningRegression:
             return 0.0
         before, self._mean = self._mean, np.array([size + ratio / 2, size - ratio / 2])
         change = float(np.abs(self._mean - before).max())
+        if change > _ROW_FLOOR:     # pixels that know nothing follow the mean
+            log_theta += (self._mean - before).astype(np.float32)[:, None]
+            log_theta[:, at] = learned
+            cells["on"], cells["off"] = _exp(_exp(log_theta) / 2)
         if sized:
             self.common_sigma = min(self.common_sigma, max(_COMMON, change))
         return change
