@@ -59,13 +59,6 @@ typedef struct {
     turning_lanes_t fade, slow, rest, sums[SUMS], lasting[LASTING], own[OWN];
 } turning_rows_t;
 
-/* A time, us; half a turn, us; rate of the slower decay per us; part of the drift of q
-   that is its error; relative error that all thresholds have in common. */
-typedef struct {
-    double t;
-    float half_us, decay, late, common;
-} turning_read_t;
-
 PDAVIS_INLINE float larger(float a, float b)
 {
     return a > b ? a : b;
@@ -122,7 +115,8 @@ PDAVIS_CLONES PDAVIS_UNUSED static void turning_rows(
         float fade = larger(fast, FEW), c0 = e->c0[i], s0 = e->s0[i];
         float root = e->root[i], inverse = 1.0f / root, step = root - inverse;
         float y = e->sign[i] * step, ridge = step * (ROW_FLOOR / WIDE);
-        float q1, q2, here, before, cm, sm, g, h, half, w, wg, wh, error, most, k;
+        float q1, q2, here, before, cm, sm, gm, hm, g, h, half, w;
+        float wg, wh, error, most, k;
         ridge *= ridge;
         turning_solve(e->sums[A11][i] * fade + ridge, e->sums[A12][i] * fade,
                       e->sums[A22][i] * fade + ridge, e->sums[B1][i] * fade,
@@ -131,44 +125,38 @@ PDAVIS_CLONES PDAVIS_UNUSED static void turning_rows(
         before = turning_light(q1, q2, c0, s0);
         /* The middle of the gap: half the step, none where the polarity reversed. */
         turning_circle(e->half[i], &cm, &sm);
-        g = c0 * cm - s0 * sm;
-        h = s0 * cm + c0 * sm;
-        w = GUESS * share / (before * turning_light(q1, q2, g, h));
+        gm = c0 * cm - s0 * sm;
+        hm = s0 * cm + c0 * sm;
+        w = GUESS * share / (before * turning_light(q1, q2, gm, hm));
         half = 0.25f * y * e->same[i];          /* of ln I to each side of it */
-        g = g - c0 - half * (g + c0);
-        h = h - s0 - half * (h + s0);
+        gm = gm - c0 - half * (gm + c0);
+        hm = hm - s0 - half * (hm + s0);
         half *= 2.0f;
-        wg = w * g;
-        wh = w * h;
-        e->sums[A11][i] = wg * g;
-        e->sums[A12][i] = wg * h;
-        e->sums[A22][i] = wh * h;
-        e->sums[B1][i] = wg * half;
-        e->sums[B2][i] = wh * half;
-        e->sums[YY][i] = w * half * half;
+        wg = w * gm;
+        wh = w * hm;
         /* The event itself, as exp(-ln step / 2) I - exp(ln step / 2) I before. */
-        w = 1.0f / sqrtf(here * before);
+        k = 1.0f / sqrtf(here * before);
         most = e->sign[i] > 0.0f ? root : inverse;
         inverse = e->sign[i] > 0.0f ? inverse : root;
-        g = (e->c[i] * inverse - c0 * most) * w;
-        h = (e->s[i] * inverse - s0 * most) * w;
-        k = OUTLIER * y;
-        y *= w;
+        g = (e->c[i] * inverse - c0 * most) * k;
+        h = (e->s[i] * inverse - s0 * most) * k;
+        most = OUTLIER * y;
+        y *= k;
         error = y - g * q1 - h * q2;
-        e->sums[A11][i] += g * g;
-        e->sums[A12][i] += g * h;
-        e->sums[A22][i] += h * h;
-        e->sums[B1][i] += g * y;
-        e->sums[B2][i] += h * y;
-        e->sums[YY][i] += y * y;
+        e->sums[A11][i] = wg * gm + g * g;
+        e->sums[A12][i] = wg * hm + g * h;
+        e->sums[A22][i] = wh * hm + h * h;
+        e->sums[B1][i] = wg * half + g * y;
+        e->sums[B2][i] = wh * half + h * y;
+        e->sums[YY][i] = w * half * half + y * y;
         e->sums[S1][i] = g * error;
         e->sums[S2][i] = h * error;
+        /* In the lasting sums an event that was noise has less weight. */
+        k = most * most;
+        k /= k + error * error;
         most = 2.0f * step;
         w = error < most ? error : most;
         e->rest[i] = w > -most ? w : -most;
-        /* In the lasting sums an event that was noise has less weight. */
-        k *= k;
-        k /= k + error * error;
         wg = k * g;
         wh = k * h;
         e->lasting[0][i] = wg * g;
@@ -189,11 +177,14 @@ PDAVIS_CLONES PDAVIS_UNUSED static void turning_rows(
 enum { I0, I45, I90, I135, AOP, DOLP, ACROSS, PLANES };
 
 /* Write I0 to I135 and errors of AoP, DoLP and q across its direction of up to
-   PDAVIS_PIXELS of the m pixels at; level is what ln S0 is relative to. */
+   PDAVIS_PIXELS of the m pixels at.  half_us: half a turn; decay: rate of the slower
+   decay per us; late: part of the drift of q that is its error; common: relative error
+   that all thresholds have in common; level: what ln S0 is relative to. */
 PDAVIS_INLINE void turning_block(
-    const turning_read_t *restrict now, const turning_cell_t *restrict cells,
-    const float *restrict level, ptrdiff_t n, const int32_t *restrict at, int m,
-    float *restrict planes, unsigned char *restrict valid)
+    double t, float half_us, float decay, float late, float common,
+    const turning_cell_t *restrict cells, const float *restrict level, ptrdiff_t n,
+    const int32_t *restrict at, int m, float *restrict planes,
+    unsigned char *restrict valid)
 {
     enum { N = SUMS, SCALE, ON, OFF, SIGN, REST, FIELDS };
     float f[FIELDS][PDAVIS_PIXELS], age[PDAVIS_PIXELS], zero[PDAVIS_PIXELS];
@@ -204,13 +195,13 @@ PDAVIS_INLINE void turning_block(
         const turning_cell_t *cell = &cells[at[i]];
         const float *restrict word = &cell->s1;
         PDAVIS_PREFETCH(&cells[at[i + PDAVIS_PIXELS]]);
-        age[i] = larger((float)(now->t - cell->t), 0.0f);
+        age[i] = larger((float)(t - cell->t), 0.0f);
         zero[i] = level[at[i]];
         for (k = 0; k < FIELDS; k++)
             f[k][i] = word[k];
     }
     for (i = 0; i < PDAVIS_PIXELS; i++) {
-        float slow = pd_exp(age[i] * now->decay), gone = slow * slow;
+        float slow = pd_exp(age[i] * decay), gone = slow * slow;
         float theta = 0.5f * (f[ON][i] - 1.0f / f[ON][i] + f[OFF][i] - 1.0f / f[OFF][i]);
         float floor = ROW_FLOOR * ROW_FLOOR * theta * theta;
         float a11 = f[A11][i] * gone, a12 = f[A12][i] * gone, a22 = f[A22][i] * gone;
@@ -218,7 +209,7 @@ PDAVIS_INLINE void turning_block(
         float ridge = floor / (WIDE * WIDE), q1, q2, det, left, ratio, variance;
         float degree, per, c, s, d1, d2, both, along, square, half, angle;
         /* No event in a whole period: a swing below one threshold. */
-        ridge += age[i] > now->half_us ? ROW_FLOOR * ROW_FLOOR / (SILENT * SILENT) : 0.0f;
+        ridge += age[i] > half_us ? ROW_FLOOR * ROW_FLOOR / (SILENT * SILENT) : 0.0f;
         turning_solve(a11 + ridge, a12, a22 + ridge, b1, b2, &q1, &q2);
         left = f[YY][i] * gone - 2.0f * (q1 * b1 + q2 * b2) + q1 * q1 * a11
             + 2.0f * q1 * q2 * a12 + q2 * q2 * a22;
@@ -236,7 +227,7 @@ PDAVIS_INLINE void turning_block(
         c = degree > 0.0f ? q1 * per : 1.0f;
         s = q2 * per;
         /* What q lacked, on average, when its rows came. */
-        det *= gone * now->late;
+        det *= gone * late;
         d1 = (a22 * f[S1][i] - a12 * f[S2][i]) * det;
         d2 = (a11 * f[S2][i] - a12 * f[S1][i]) * det;
         both = 2.0f * a12 * c * s;
@@ -255,7 +246,7 @@ PDAVIS_INLINE void turning_block(
         square = degree * (1.0f - square) * (1.0f + square * (
             1.0f / 3.0f + square * (0.2f + square * 0.35f)));
         out[DOLP][i] = sqrtf(along + square * square * (
-            f[SCALE][i] * f[SCALE][i] + now->common * now->common));
+            f[SCALE][i] * f[SCALE][i] + common * common));
         half = 0.5f * pd_exp(zero[i] + f[REST][i] * slow);
         out[I0][i] = half * (1.0f + q1);
         out[I45][i] = half * (1.0f + q2);
@@ -272,9 +263,10 @@ PDAVIS_INLINE void turning_block(
 
 /* As turning_block of the pixels that have been seen; of the others n know nothing. */
 PDAVIS_CLONES PDAVIS_UNUSED static void turning_pixels(
-    const turning_read_t *restrict now, const turning_cell_t *restrict cells,
-    const unsigned char *restrict seen, const float *restrict level, ptrdiff_t n,
-    float *restrict planes, unsigned char *restrict valid)
+    double t, float half_us, float decay, float late, float common,
+    const turning_cell_t *restrict cells, const unsigned char *restrict seen,
+    const float *restrict level, ptrdiff_t n, float *restrict planes,
+    unsigned char *restrict valid)
 {
     static const float unknown[PLANES] = {0, 0, 0, 0, MOST_ANGLE, WIDE, WIDE};
     int32_t at[PDAVIS_CHUNK + PDAVIS_PIXELS] = {0};
@@ -293,7 +285,8 @@ PDAVIS_CLONES PDAVIS_UNUSED static void turning_pixels(
             m += seen[i] != 0;
         }
         for (k = 0; k < m; k += PDAVIS_PIXELS)
-            turning_block(now, cells, level, n, at + k, m - k, planes, valid);
+            turning_block(t, half_us, decay, late, common, cells, level, n, at + k,
+                          m - k, planes, valid);
     }
 }
 

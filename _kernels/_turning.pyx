@@ -29,13 +29,11 @@ cdef extern from "_turning.h" nogil:
         lanes_t* sums
         lanes_t* lasting
         lanes_t* own
-    ctypedef struct reading_t "turning_read_t":
-        double t
-        float half_us, decay, late, common
     void circle "turning_circle"(double, float*, float*)
     void turning_rows(rows_t*, float, float)
-    void turning_pixels(const reading_t*, const cell_t*, const unsigned char*,
-                        const float*, Py_ssize_t, float*, unsigned char*)
+    void turning_pixels(double, float, float, float, float, const cell_t*,
+                        const unsigned char*, const float*, Py_ssize_t, float*,
+                        unsigned char*)
 
 cdef extern from *:
     """
@@ -172,12 +170,6 @@ def turning_images(const cell_t[:, ::1] cells not None,
     level (h, w) what ln S0 is relative to.
     """
     cdef Py_ssize_t h = cells.shape[0], w = cells.shape[1]
-    cdef reading_t now
-    now.t = t
-    now.half_us = half_us
-    now.decay = -1 / (RATIO * tau)
-    now.late = late
-    now.common = common
     if (planes.shape[0] != PLANES or planes.shape[1] != h or planes.shape[2] != w
             or seen.shape[0] != h or seen.shape[1] != w or valid.shape[0] != h
             or valid.shape[1] != w or level.shape[0] != h or level.shape[1] != w):
@@ -185,5 +177,5 @@ def turning_images(const cell_t[:, ::1] cells not None,
     if h * w == 0:
         return
     with nogil:
-        turning_pixels(&now, &cells[0, 0], &seen[0, 0], &level[0, 0], h * w,
-                       &planes[0, 0, 0], &valid[0, 0])
+        turning_pixels(t, half_us, -1 / (RATIO * tau), late, common, &cells[0, 0],
+                       &seen[0, 0], &level[0, 0], h * w, &planes[0, 0, 0], &valid[0, 0])

@@ -296,13 +296,13 @@ def _learned(
                           + 2 * q1 * q2 * l12 + q2 * q2 * l22)
 
     floor = (_ROW_FLOOR * 0.5 * (u[0] - u[1])) ** 2
-    q1, q2, _ = _solved(l11 + floor / _WIDE**2, l12, l22 + floor / _WIDE**2, m1, m2)
+    q1, q2 = _solved(l11 + floor / _WIDE**2, l12, l22 + floor / _WIDE**2, m1, m2)
     variance = np.maximum(left(q1, q2) / n.sum(0), floor)
     # Unknown are q and changes of both ln thresholds; the latter are eliminated.
     ridge, prior = variance / _WIDE**2, variance / spread**2
     p = u * u * n + prior
     k, o = u * u / p, u * (u * y + prior * off_mean) / p
-    q1, q2, _ = _solved(
+    q1, q2 = _solved(
         l11 + ridge - (k * g * g).sum(0), l12 - (k * g * h).sum(0),
         l22 + ridge - (k * h * h).sum(0), m1 - (o * g).sum(0), m2 - (o * h).sum(0))
     rest = y - q1 * g - q2 * h
@@ -335,12 +335,12 @@ def _learned(
 
 def _solved(
     a11: Plane, a12: Plane, a22: Plane, b1: Plane, b2: Plane
-) -> tuple[Plane, Plane, Plane]:
-    """Solve for q, at most fully polarized; return also 1 / determinant."""
+) -> tuple[Plane, Plane]:
+    """Solve for q, at most fully polarized."""
     det = np.reciprocal(np.maximum(a11 * a22 - a12 * a12, _LEAST_DET))
     q1, q2 = (a22 * b1 - a12 * b2) * det, (a11 * b2 - a12 * b1) * det
     shorter = np.reciprocal(np.sqrt(np.maximum(q1 * q1 + q2 * q2, 1)))
-    return q1 * shorter, q2 * shorter, det
+    return q1 * shorter, q2 * shorter
 
 
 def _exp(x: NDArray[np.floating]) -> Plane:
