@@ -16,7 +16,7 @@ _ROUNDS, _ENOUGH = 30, 1e-3
 """Most corrections, and the one below which they end, pixels at the corners."""
 _OUTLIER = 2.0
 """Difference with half of the weight, in median differences: polarized edges."""
-_LEAST_CORRELATION = 0.3
+_LEAST_CORRELATION = 0.45    # of made scenes, moves that were wrong had up to .40
 _ALIKE = 4 * math.pi * _FINE**2
 """Pixels of filtered noise that differ together: as many count as one."""
 

@@ -60,6 +60,16 @@ def test_a_shift_and_a_turn_are_undone():
     assert image.valid[20:-20, 20:-20].all()
 
 
+def test_a_move_that_polarization_may_have_made_is_refused():
+    rng = np.random.default_rng(1001)
+    own, more = (2 * ndimage.gaussian_filter(rng.normal(size=(160, 200)), 2)
+                 for _ in range(2))
+    light, part = 3000 * np.exp(1.2 * own), 0.5 * np.tanh(2 * more)
+    seen = [light * (1 + part), moved(light * (1 - part), MOVES[1])]
+    with pytest.raises(ValueError, match=r"correlation of 0\.33"):    # .7 px wrong
+        AnalyserArray.found(np.stack(seen))
+
+
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_other_exposures_do_not_move(factor):
     channels = scene()

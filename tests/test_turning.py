@@ -513,7 +513,7 @@ def test_options_that_do_not_fit_are_named(few, options, match):
 
 
 def test_the_analyser_must_be_one(few):
-    with pytest.raises(TypeError, match="must be a TurningAnalyser, got int"):
+    with pytest.raises(TypeError, match="of images: analyser_steps of open"):
         pdavis_cv.fuse(as_recording(few), analyser=3)
 
 

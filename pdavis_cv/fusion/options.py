@@ -173,7 +173,8 @@ class FusionOptions(Options):
             put(name, plain(getattr(self, name)))
         if self.layout is not None:
             put("layout", Layout.of(self.layout))
-        typed("analyser", self.analyser, TurningAnalyser | None, "a TurningAnalyser")
+        typed("analyser", self.analyser, TurningAnalyser | None,
+              "a TurningAnalyser (of images: analyser_steps of open_recording)")
         typed("calibration", self.calibration, Calibration | None,
               "a Calibration, as Calibration.load(path) gives")
         _check_extinction_ratio(self.extinction_ratio)
