@@ -430,7 +430,7 @@ def _numbers(priors: Priors, gap_us: float, pairs: Pairs) -> dict[str, _Number]:
         lambda f, x: _changed(f, lag_us=x))
     ms = float(np.median(pairs.ms))
     mean, sigma = (dn / ms for dn in priors.black or (0.0, BLACK[1]))
-    if sigma > 0:
+    if sigma > 0 and pairs.whole.all():
         every["black"] = _Number(
             mean, sigma, 4.0 / ms, 30.0 / ms, lambda f: f.model.black,
             lambda f, x: _with(f, black=max(x, 0.0)))
