@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from pdavis_cv import Sensor
+from pdavis_cv.fusion.learning import MEASURED_RATIO
 from pdavis_cv.pixel.learn import SPREAD
 from pdavis_cv.reconstruct.cf import GAIN_FLOOR
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS
@@ -41,6 +42,7 @@ def test_the_table_of_priors_has_the_numbers_of_the_code():
         assert [float(x) for x in re.findall(r"\d*\.?\d+", cells)] == list(values), line
 
     row("`nominal_thresholds`", *NOMINAL_THRESHOLDS)
+    row("start of methods that learn", MEASURED_RATIO)
     row("`Sensor.PDAVIS.extinction_ratio`", Sensor.PDAVIS.extinction_ratio)
     row("`Sensor.PDAVIS.mismatch`", gain)
     row("the same, angle", angle)

@@ -29,7 +29,7 @@ from pdavis_cv.reconstruct.base import Needs
 from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.reconstruct.redundancy import RATIO_SIGMA
 from pdavis_cv.recording.base import ApsFrame, Packet, Recording, Source
-from pdavis_cv.recording.facts import MEASURED, Fact
+from pdavis_cv.recording.facts import ASSUMED, MEASURED, Fact
 from pdavis_cv.sensor import NOMINAL_THRESHOLDS
 
 _OF_EVENTS = frozenset({"event_scale", "ratio_sigma"})
@@ -39,6 +39,11 @@ pixels' ratios of them.  Frames tell "model", or "thresholds" for other methods.
 _STATED_SIGMA, _NOMINAL_SIGMA = 0.05, 0.5
 """Relative error of thresholds that were measured, and of others: those of bias or data
 sheet may be wrong by half."""
+
+MEASURED_RATIO = 1.25
+"""Thresholds from which learning starts where nobody states any, in those of data
+sheets, .2: the geometric mean of these and of what was measured (ON/OFF .29/.32 and
+.29/.37 of two DAVIS346, .25/.38 of an IMX636)."""
 
 _OWN_ERROR = 0.02
 """Relative error of a pixel's threshold that the filter's variance lacks: ratios of ON
@@ -102,10 +107,12 @@ class Learning:
             wanted &= _OF_EVENTS
         self.wanted = frozenset(wanted)
         self.uses_frames = not self.wanted <= _OF_EVENTS
+        origin = threshold_origin(source, options.thresholds,
+                                  options.nominal_thresholds, self._calibration)
+        if origin == ASSUMED and "model" in needs.learned:
+            on, off = _scaled(on, MEASURED_RATIO), _scaled(off, MEASURED_RATIO)
         self.thresholds = Fact((on, off), MEASURED if self.wanted & {
-            "model", "thresholds"} else threshold_origin(
-                source, options.thresholds, options.nominal_thresholds,
-                self._calibration))
+            "model", "thresholds"} else origin)
         clock = _stated_clock(options)
         self._priors = _priors(options.thresholds, self._calibration, on, off, clock)
         if "model" in needs.learned and "model" not in known:

@@ -129,9 +129,10 @@ class FusionOptions(Options):
         '"calibration", "bias", "in-situ", "nominal", or contrast thresholds in '
         "natural-log units, scalars or (H, W); default: the first available of "
         "calibration, bias, nominal.  A method that learns, such as kalman, starts "
-        'from these.  "in-situ" lets other methods learn each pixel\'s thresholds from '
-        "the first 10 s, before the first image; with `causal` only their common scale "
-        "is learned, while the stream passes.", "thresholds",
+        "from these, or, where nobody states any, from 1.25 times the nominal ones, as "
+        'sensors were measured.  "in-situ" lets other methods learn each pixel\'s '
+        "thresholds from the first 10 s, before the first image; with `causal` only "
+        "their common scale is learned, while the stream passes.", "thresholds",
         "calibration, bias, in-situ, nominal, or ON,OFF in natural-log units")
     nominal_thresholds: tuple[ArrayLike, ArrayLike] = option(
         NOMINAL_THRESHOLDS, "(on, off)",
