@@ -557,7 +557,8 @@ def test_a_speed_is_found_and_followed(hz, drift, ramp):
     found, true = turned(segments, times), np.interp(times, at, turns)
     assert np.ptp(found) == pytest.approx(np.ptp(true), rel=1e-4)
     error = found - true
-    assert np.abs(error - np.median(error)).max() < 0.005
+    assert np.abs(error - np.median(error)).max() < 0.002
+    assert rms(np.gradient(found) / np.gradient(true) - 1) < 3e-4
 
 
 @pytest.fixture(scope="module")

@@ -27,6 +27,8 @@ _CYCLES = 2
 """Modulation periods after which the phase is measured again."""
 _GAIN, _DAMPING = 0.5, 0.15
 """Parts of a phase error by which phase and rate follow it."""
+_BESIDE = 4
+"""Phases to either side on whose parabola one is moved: motors gain speed steadily."""
 _KEPT = 0.9
 """Part of the mean of past phases that remains when a new one is added to it."""
 
@@ -58,7 +60,10 @@ def found_segments(recording: Recording, phase: float = 0.0) -> NDArray[np.float
     later = _followed(t - middle, block, sign, hz)
     earlier = _followed(middle - t[::-1], block[::-1], sign[::-1], hz)
     knots = np.array([(-at, -angle) for at, angle in earlier[:0:-1]] + later)
-    at, angle = (knots[:, 0] + middle) * 1e6, knots[:, 1]
+    smooth = [np.polyfit(knots[near, 0] - knots[k, 0], knots[near, 1], 2)[-1]
+              for k in range(len(knots))
+              for near in [slice(max(k - _BESIDE, 0), k + _BESIDE + 1)]]
+    at, angle = (knots[:, 0] + middle) * 1e6, np.array(smooth)
     rate = np.diff(angle) / np.diff(at)
     begin = angle[0] + rate[0] * (t[0] * 1e6 - at[0])
     return np.stack([at, angle - begin + 2 * phase, np.append(rate, rate[-1])], 1)
@@ -70,7 +75,7 @@ def _events(
     """Return times in s, block and sign of a bounded number of events."""
     width = recording.info.sensor_size[1]
     across = -(-width // _BLOCK)
-    parts, kept, step, start = [], 0, 1, None
+    parts, kept, step, start = [np.empty((3, 0), np.int64)], 0, 1, None
     for packet in recording.packets():
         events = packet.events
         if not len(events):
@@ -87,8 +92,6 @@ def _events(
             parts, kept = [one[:, ::2] for one in parts], kept // 2
         if seconds is not None and int(events["t"][-1]) - start > seconds * 1e6:
             break
-    if not parts:
-        return np.empty(0), np.empty(0, np.intp), np.empty(0)
     t, block, sign = np.concatenate(parts, 1)
     return t / 1e6, block.astype(np.intp), sign.astype(np.float64)
 
@@ -130,8 +133,8 @@ def _followed(
     rate, phase, at = 2 * math.pi * hz, 0.0, 0.0
     knots = [(0.0, 0.0)]
     end = float(t[-1])
-    while at < end:
-        span = _CYCLES * 2 * math.pi / rate
+    # A part of a cycle has another phase than the template.
+    while at + (span := _CYCLES * 2 * math.pi / rate) <= end or len(knots) < 2:
         first, last = np.searchsorted(t, (at, at + span))
         angle = phase + rate * (t[first:last] - at)
         wave = np.zeros(count, np.complex128)
