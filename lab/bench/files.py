@@ -199,9 +199,10 @@ def _packets(seconds: Callable[[str, Path], float]) -> Iterator[Comparison]:
             write_aedat4(path, recording_from_arrays(events, sensor_size=SHAPE))
             for peer in ("aedat", "faery", "dv_processing"):
                 yield _by_packets(path, peer, len(events), seconds)
-        path = Path(folder) / "1 s.raw"
-        write_evt3(path, second)
-        yield _by_packets(path, "faery", EVENTS, seconds)
+        for name, events in (("1 s", second), ("30 s", calm)):
+            path = Path(folder) / f"{name}.raw"
+            write_evt3(path, events)
+            yield _by_packets(path, "faery", EVENTS, seconds)
 
 
 def _by_packets(path: Path, peer: str, count: int,

@@ -168,17 +168,24 @@ class Cursor:
             if self.next > number:
                 return self.clock.settled(out)
             self.next = number + 1
-        data, at, count = self._vector(self._entries[number])
+        entry = self._entries[number]
+        table = self._table(entry)
+        at, count = table.vector(0, samples.EVENT)
+        if entry.samples not in (None, count):
+            begin = entry.offset - 8
+            self._file.log.damage(
+                (entry.offset, "count"), f"byte {begin}: a packet of {count} "
+                f"events, {entry.samples} by the index", offset=begin)
         bounds = self._neighbours(number) if self._trusted else self._possible(
-            _times(data, at, count))
+            _times(table.data, at, count))
         state, jumps = self.clock.state, self.clock.jumps
         out = self.clock.room(self._memory, count)
-        _kernels.aedat4_events(data, at, count, *self._size, self._jaer, *bounds,
-                               state, out)
+        _kernels.aedat4_events(
+            table.data, at, count, *self._size, self._jaer, *bounds, state, out)
         got = self.clock.settled(out)
         if self._strict and (state[OUTSIDE] or state[BACKWARD]):
-            self._refuse(self._entries[number], np.ndarray((count,), _EVENT, data, at),
-                         bounds, falls=self.clock.jumps == jumps)
+            self._refuse(entry, np.ndarray((count,), _EVENT, table.data, at), bounds,
+                         falls=self.clock.jumps == jumps)
         return got
 
     def _plain(self, number: int, stop: int, out: NDArray[Any]) -> int:
@@ -196,17 +203,6 @@ class Cursor:
                 *self._size, self._jaer, self._unpacked, self.clock.state, out)
             self._run = RUN - 1 if number == until else 0
         return number
-
-    def _vector(self, entry: Entry) -> tuple[bytes | memoryview, int, int]:
-        """Return a packet of events, the place of the first, and their number."""
-        table = self._table(entry)
-        at, count = table.vector(0, samples.EVENT)
-        if entry.samples not in (None, count):
-            begin = entry.offset - 8
-            self._file.log.damage(
-                (entry.offset, "count"), f"byte {begin}: a packet of {count} "
-                f"events, {entry.samples} by the index", offset=begin)
-        return table.data, at, count
 
     def _refuse(self, entry: Entry, events: NDArray[Any], bounds: tuple[int, int], *,
                 falls: bool) -> None:
