@@ -118,14 +118,12 @@ def silence_tells_no_time(monkeypatch):
 def pytest_runtest_setup(item):
     """Let cameras be learned from a few samples, where accuracy is not the subject.
 
-    Tests that take long, those of the lab, and those marked `accuracy` learn as users
-    do.
+    Tests that are marked `accuracy` learn as users do.
     """
     from pdavis_cv.fusion import learning
     from pdavis_cv.pixel import learn, rows
 
-    whole = item.path.parent != ROOT / "tests" or any(
-        item.get_closest_marker(name) for name in ("accuracy", "gate"))
+    whole = item.get_closest_marker("accuracy")
     for module, name, few in (
             (learn, "STARTS_US", (0,)), (learn, "MOST_SEARCHED", (150, 150)),
             (learn, "MOST_TRIED", 150), (learn, "MOST_FURTHER", 150),

@@ -17,11 +17,14 @@ from pdavis_cv import PdavisWarning
 pytestmark = pytest.mark.gate
 
 SCRIPT = """
+import signal
 import sys
 import batch_works
 from pdavis_cv import FusionOptions, batch
 
 if __name__ == "__main__":
+    # jobs in the background are started deaf to SIGINT
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     batch.run(sys.argv[2:], FusionOptions(method="cf", layout="pdavis"), sys.argv[1],
               work=batch_works.slow, workers=2, progress=False)
 """
@@ -219,7 +222,7 @@ def peak():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 options = FusionOptions(method="cf")
-for count in (200, 10_000):
+for count in (200, 5_000):
     table = batch.run((f"part{i}" for i in range(count)), options, sys.argv[1],
                       work=batch_works.nothing, executor=batch_works.Inline(),
                       progress=False)
@@ -229,5 +232,5 @@ for count in (200, 10_000):
         [sys.executable, "-P", "-c", code, str(tmp_path / "out")], check=True,
         capture_output=True, text=True,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)}).stdout.split()
-    assert told[0::2] == ["200", "10000"]
-    assert float(told[3]) - float(told[1]) < 15     # MiB; rows would take 30
+    assert told[0::2] == ["200", "5000"]
+    assert float(told[3]) - float(told[1]) < 9      # MiB; rows would take 15

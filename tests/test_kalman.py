@@ -70,6 +70,7 @@ def scored(recording, truth, **options):
         demosaic="superpixel", **options), truth)
 
 
+@pytest.mark.accuracy
 @pytest.mark.gate
 @pytest.mark.parametrize(("camera", "options"), [
     ("nominal", {"causal": True}), ("nominal", {}), ("nominal", {"mode": "offline"}),
@@ -82,6 +83,7 @@ def test_one_sigma_covers_about_two_thirds_of_the_errors(recorded, camera, optio
     assert score.aop < np.deg2rad(1.1)
 
 
+@pytest.mark.accuracy
 @pytest.mark.gate
 @pytest.mark.parametrize(("mode", "aop_deg", "dolp"), [
     ("buffered", 0.5, 0.010), ("offline", 0.35, 0.007)])

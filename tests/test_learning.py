@@ -16,8 +16,6 @@ from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.reconstruct.kalman import KalmanFilter
 from pdavis_cv.simulation import Camera, RotatingPolarizer
 
-pytestmark = pytest.mark.accuracy
-
 NOMINAL = (0.16, 0.18)
 OPTIONS = {"method": "kalman", "causal": True, "nominal_thresholds": NOMINAL,
            "demosaic": "superpixel"}

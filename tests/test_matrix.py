@@ -139,7 +139,7 @@ OUTPUTS = [
         ".npy", ".npz", ".ome.tif", ".h5", ".png", ".webm")),
     ("info",), ("info", "--scan", "--json"), ("convert", "{out}/y.aedat4"),
     ("tendon", "--no-video", "-o", "{out}/tendon"),
-    ("fan", "-o", "{out}/fan.webm", "--slow", "8"),
+    ("fan", "-o", "{out}/fan.webm", "--slow", "8", "--scale", "1"),
     ("batch", "-o", "{out}/batch", "--jobs", "1", "--executor", "process")]
 
 

@@ -9,11 +9,13 @@ WAYS = ({"causal": True}, {}, {"mode": "offline"})
 
 
 @pytest.mark.gate
-def test_200_random_short_recordings_fuse_without_a_failure():
+@pytest.mark.parametrize("seeds", [
+    range(200), pytest.param(range(200, 230), marks=pytest.mark.accuracy)], ids=str)
+def test_random_short_recordings_fuse_without_a_failure(seeds):
     """10 to 100 RPM for .2 to 2 s, any angle, every preset that has events."""
     presets = [name for name, parts in PRESETS.items() if parts["dvs"] is not None]
     failures = []
-    for seed in range(200):
+    for seed in seeds:
         rng = np.random.default_rng(1000 + seed)
         preset, way = presets[seed % len(presets)], WAYS[seed % len(WAYS)]
         camera = Camera.preset(

@@ -104,10 +104,10 @@ def main(argv: Sequence[str] | None = None) -> int:
                         help="default both")
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--quick", action="store_true", help="3 s of each")
+    parser.add_argument("--quick", action="store_true", help="1.2 s of each")
     args = parser.parse_args(argv)
     if args.quick:
-        args.minutes, args.seconds = 0.05, 3.0
+        args.minutes, args.seconds = 0.02, 1.2
     holds = True
     if args.what != "snapshots":
         holds = apart(stream, args.minutes) <= STREAM_MB

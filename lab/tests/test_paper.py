@@ -126,6 +126,7 @@ def test_frames_saturate_above_one_microwatt_and_events_do_not(tmp_path):
     assert max(errors["events"]) - min(errors["events"]) < 1
 
 
+@pytest.mark.accuracy
 @pytest.mark.gate
 def test_flicker_leaves_the_frames_alone(tmp_path):
     stem = tmp_path / "flicker"
