@@ -230,7 +230,9 @@ def slices(
     end = len(t) if stop_us is None else bisect_left(t, stop_us)
     events = events[first:end]
     if count is not None:
-        return _by_count(events, count)
+        parts = (events[i:i + count] for i in range(0, len(events), count))
+        return (EventSlice(int(part["t"][0]), int(part["t"][-1]) + 1, part)
+                for part in parts)
     assert duration_us is not None
     if start_us is None and len(events):
         start_us = int(events["t"][0])
@@ -240,12 +242,6 @@ def slices(
     if start_us is None or stop_us is None:
         return iter(())
     return _by_duration(events, duration_us, start_us, stop_us)
-
-
-def _by_count(events: Events, count: int) -> Iterator[EventSlice]:
-    for i in range(0, len(events), count):
-        part = events[i:i + count]
-        yield EventSlice(int(part["t"][0]), int(part["t"][-1]) + 1, part)
 
 
 def _by_duration(

@@ -398,7 +398,8 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
                             metavar="ON,OFF", default=NOMINAL_THRESHOLDS,
                             help="expected thresholds, ln units; default 0.2,0.2")
     if part in ("sweep", "all"):
-        parser.add_argument("--angles", type=_floats, metavar="DEG,DEG,...",
+        parser.add_argument("--angles", metavar="DEG,DEG,...",
+                            type=lambda text: numbers(text, text.count(",") + 1),
                             help="one angle per file; otherwise one file has all steps")
         for name, default, text in (
                 ("start-deg", 0.0, "angle of the first step"),
@@ -410,7 +411,3 @@ def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
                                 help=f"{text}; default {default:g}")
         parser.add_argument("--steps", type=within(1, 10**9),
                             help="number of steps; default: all")
-
-
-def _floats(text: str) -> list[float]:
-    return [float(value) for value in numbers(text, text.count(",") + 1)]

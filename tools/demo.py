@@ -86,15 +86,11 @@ def _shown(args: argparse.Namespace) -> tuple[int, dict[str, Any]]:
     if code == 0:
         _say(f"The results are in {folder.resolve()}\n"
              "More of one recording:\n  " + shlex.join((
-                 _program(), "export", str(kept["fan"]), "-o", "more.webm",
+                 # as it was called: it need not be on the PATH
+                 sys.argv[0] if Path(sys.argv[0]).name == "pdavis" else "pdavis",
+                 "export", str(kept["fan"]), "-o", "more.webm",
                  "--fps", "200", "--slow", "8")))
     return code, {"tendon_dolp_error": dolp, "polarizer_aop_error_deg": aop_deg}
-
-
-def _program() -> str:
-    """Return this program as it was called: it need not be on the PATH."""
-    called = Path(sys.argv[0])
-    return str(called) if called.name == "pdavis" else "pdavis"
 
 
 def _say(line: str) -> None:

@@ -39,12 +39,6 @@ def _seconds(work: Callable[..., object], *arguments: Any) -> float:
     return perf_counter() - start
 
 
-def _cpu_seconds(work: Callable[[], object]) -> float:
-    start = process_time()
-    work()
-    return process_time() - start
-
-
 def _rate(count: int, seconds: float) -> float:
     return count / seconds / 1e6
 
@@ -168,8 +162,9 @@ _READERS: dict[str, Callable[[Any, Path], Iterator[NDArray[Any]]]] = {
 
 def _pass_seconds(name: str, path: Path) -> float:
     """Return the CPU time of a pass in this process."""
-    reader = _peer(name)
-    return _cpu_seconds(lambda: sum(map(len, _READERS[name](reader, path))))
+    reader, start = _peer(name), process_time()
+    sum(map(len, _READERS[name](reader, path)))
+    return process_time() - start
 
 
 def _process_seconds(name: str, path: Path) -> float:

@@ -103,13 +103,9 @@ def _cells(args: argparse.Namespace) -> list[Cell]:
         cells = [(name, preset) for name in CASES for preset in PRESETS]
         cells += [(name, "real") for name in REAL]
     return [(name, preset) for name, preset in cells
-            if _asked(name, preset, args) and preset in (*args.presets, "real")]
-
-
-def _asked(name: str, preset: str, args: argparse.Namespace) -> bool:
-    if args.cases:
-        return any(fnmatch.fnmatchcase(name, pattern) for pattern in args.cases)
-    return preset == "real" or CASES[name].usual
+            if preset in (*args.presets, "real") and (
+                any(fnmatch.fnmatchcase(name, one) for one in args.cases) if args.cases
+                else preset == "real" or CASES[name].usual)]
 
 
 def _methods(patterns: Sequence[str] | None) -> dict[str, str]:

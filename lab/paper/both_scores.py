@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.stats import spearmanr
 
 from lab.scoring import Scorer
 from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore
@@ -127,7 +127,7 @@ def both_scores_page(rows: Sequence[BothScores]) -> list[str]:
             true = np.array([row.aop_error_deg for row in one])
             all_recordings += 1
             agreed += bool(true[np.argmin(said)] <= 1.1 * true.min())
-            ranks.append(_rank_correlation(said, true))
+            ranks.append(float(spearmanr(said, true).statistic))
     lines += ["## Do they agree?", "",
               f"In {agreed} of {all_recordings} recordings the method that frames left "
               "out say has the least error of a cell's ratios has an AoP error at most "
@@ -146,10 +146,3 @@ def _line(name: str, rows: Sequence[BothScores]) -> list[str]:
     return [name, text("frame_moving", "frame_in_cell", (3, 3)),
             text("light_moving", "light_in_cell", (3, 3)),
             text("aop_error_deg", "dolp_error", (2, 3))]
-
-
-def _rank_correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Return Spearman's coefficient."""
-    from scipy.stats import spearmanr
-
-    return float(spearmanr(a, b).statistic)

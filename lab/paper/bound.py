@@ -127,7 +127,8 @@ def optics_bound(
     d_stokes = np.einsum("sk,kjp,jt->tsp", solve, tangent, stokes)
     aop, dolp = _gradients(stokes)
     counted = np.hypot(stokes[1], stokes[2]) > least_dolp * stokes[0]
-    root = _root(sigma)
+    values, vectors = np.linalg.eigh(sigma)
+    root = vectors * np.sqrt(np.maximum(values, 0))
     by_aop = np.einsum("ts,tsp->tp", aop, d_stokes)[counted] @ root
     by_dolp = np.einsum("ts,tsp->tp", dolp, d_stokes) @ root
     # A fixed draw stands for the population, so that the same bound comes each time.
@@ -277,11 +278,6 @@ def _posterior(
     tells = np.einsum("k,kjp,jm->mp", null, tangent, seen)
     gain = prior[:, None] * tells.T @ np.linalg.pinv((tells * prior) @ tells.T)
     return np.asarray(np.diag(prior) - gain @ (tells * prior), np.float64)
-
-
-def _root(covariance: FloatArray) -> FloatArray:
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0)), np.float64)
 
 
 def _gradients(stokes: FloatArray) -> tuple[FloatArray, FloatArray]:

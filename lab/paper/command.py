@@ -151,6 +151,16 @@ def _written(
     return write_page(stem, page(found)), found if kind is Row else []
 
 
+def _table(
+    kind: type, rows: Callable[[Settings], Iterable[Any]],
+    page: Callable[[list[Any]], list[str]],
+    draw: Callable[[list[Any]], Any] | None = None,
+) -> Experiment:
+    """Return what makes the rows of one kind and writes them."""
+    return lambda figure, stem, settings: _written(
+        figure, stem, settings, kind, rows(settings), page, draw)
+
+
 def _range(figure: str, stem: Path, settings: Settings) -> Result:
     """Figure 4a, the dynamic range, flicker: cases, a page and a picture."""
     make, describe = _RANGES[figure]
@@ -192,28 +202,6 @@ def _demosaicing(figure: str, stem: Path, settings: Settings) -> Result:
         demosaic.demosaic_page, lambda rows: demosaic.demosaic_figure(settings))
 
 
-def _both_scores(figure: str, stem: Path, settings: Settings) -> Result:
-    """Score by frames left out beside the score by the truth."""
-    return _written(
-        figure, stem, settings, both_scores.BothScores,
-        both_scores.both_scores(settings), both_scores.both_scores_page)
-
-
-def _transfer(figure: str, stem: Path, settings: Settings) -> Result:
-    """Gain and phase of the methods."""
-    return _written(
-        figure, stem, settings, transfer.Response, transfer.transfer_rows(settings),
-        transfer.transfer_page, transfer.transfer_figure)
-
-
-def _spans(figure: str, stem: Path, settings: Settings) -> Result:
-    """Follow the supplement's protocol of its dynamic range."""
-    return _written(
-        figure, stem, settings, correct_span.Level, progress(
-            correct_span.levels(settings), correct_span.count(settings), "levels"),
-        correct_span.span_page, correct_span.span_figure)
-
-
 def _tables(figure: str, stem: Path, settings: Settings) -> Result:
     """Tables S1 and S2."""
     camera = (settings.cameras or ("nominal",))[0]
@@ -223,13 +211,6 @@ def _tables(figure: str, stem: Path, settings: Settings) -> Result:
         figure, stem, settings, specification.Quantity,
         specification.specification(settings),
         lambda found: specification.specification_page(camera, found, compared))
-
-
-def _optics(figure: str, stem: Path, settings: Settings) -> Result:
-    """Extinction ratio by wavelength and while aligning."""
-    return _written(
-        figure, stem, settings, optics_bench.Point, optics_bench.points(settings),
-        optics_bench.bench_page, optics_bench.bench_figure)
 
 
 def _fan_images(figure: str, stem: Path, settings: Settings) -> Result:
@@ -347,16 +328,25 @@ EXPERIMENTS: dict[str, tuple[str, Experiment]] = {
     "fan": ("fig4a as pictures: what each method shows of the fan", _fan_images),
     "tendon": ("a tendon that is pulled: traces, spectra, lock-in maps", _tendon),
     "dr": ("irradiance from 40 nW/cm2 to 42 mW/cm2", _range),
-    "range": ("of which angles, out of 180, AoP is right in that range", _spans),
+    "range": ("of which angles, out of 180, AoP is right in that range", _table(
+        correct_span.Level, lambda settings: progress(correct_span.levels(
+            settings), correct_span.count(settings), "levels"),
+        correct_span.span_page, correct_span.span_figure)),
     "flicker": ("a lamp that flickers at 120 Hz, a background", _range),
     "all": ("all of these and tables, as STEM-fig2 and so on, a table of them, and "
             "STEM.html with the pictures", _all),
     "demosaic": ("demosaicing, on scenes of known polarization", _demosaicing),
     "denoise": ("noise left and true events kept by denoising", _denoising),
-    "optics": ("extinction ratio by wavelength and while aligning", _optics),
-    "score": ("the score of pdavis score beside the score by the truth", _both_scores),
+    "optics": ("extinction ratio by wavelength and while aligning", _table(
+        optics_bench.Point, optics_bench.points, optics_bench.bench_page,
+        optics_bench.bench_figure)),
+    "score": ("the score of pdavis score beside the score by the truth", _table(
+        both_scores.BothScores, both_scores.both_scores,
+        both_scores.both_scores_page)),
     "tables": ("the supplement's tables: specification, methods", _tables),
-    "transfer": ("transfer functions, measured beside theory", _transfer),
+    "transfer": ("transfer functions, measured beside theory", _table(
+        transfer.Response, transfer.transfer_rows, transfer.transfer_page,
+        transfer.transfer_figure)),
     "videos": ("the five supplementary videos, as STEM-1.webm and so on, truth beside, "
                "and STEM.html that plays them", _videos),
     "network": ("networks on events alone, on these and on moving textures", _networks),
@@ -447,18 +437,13 @@ def _parser() -> argparse.ArgumentParser:
         "--calibration", type=Path, metavar="NPZ",
         help="what is known of this camera, as pdavis calibrate wrote it")
     group.add_argument(
-        "--nominal", type=_two_thresholds, metavar="ON,OFF",
+        "--nominal", type=lambda text: tuple(numbers(text, 2)), metavar="ON,OFF",
         help="contrast thresholds to start from, natural-log units; default 0.2,0.2")
     return parser
 
 
 def _named(methods: Iterable[str]) -> str:
     return ", ".join(map(repr, methods))
-
-
-def _two_thresholds(text: str) -> tuple[float, float]:
-    on, off = numbers(text, 2)
-    return on, off
 
 
 def settings_of(argv: Sequence[str]) -> Settings:

@@ -152,7 +152,9 @@ def _view(name: str, rpm: float, take: Take, circle: _Circle, at_us: int,
           parameters: Mapping[str, Any]) -> View:
     options = dict(parameters)
     if name in _NETWORKS:
-        options |= {"weights": all_weights(())[name], "window_us": _window_us(rpm)}
+        # windows of a 25th of a sector's passage, 1 ms or more
+        options |= {"weights": all_weights(())[name],
+                    "window_us": max(1000, round(60e6 / rpm / 6 / 25))}
     image = next(iter(fuse(take.recording, times_us=[at_us], demosaic="superpixel",
                            **options)))
     aop = np.where(image.valid, image.aop, np.nan)
@@ -182,11 +184,6 @@ def _uncertainty(image: PolarFrame, truth: Any, at_us: int
         image.aop.astype(np.float64), truth.aop(at_us, x, y)))
     return tuple(np.where(sure, np.rad2deg(plane), np.nan)
                  for plane in (image.sigma_aop, off))
-
-
-def _window_us(rpm: float) -> int:
-    """Return a window of the networks: a 25th of a sector's passage, 1 ms or more."""
-    return max(1000, round(60e6 / rpm / 6 / 25))
 
 
 # ---- what is written and drawn ---------------------------------------------------

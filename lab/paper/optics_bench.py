@@ -126,10 +126,6 @@ def _camera(preset: str, seed: int, optics: Optics) -> Camera:
         preset, seed=seed, size=(_SIDE, _SIDE), optics=optics, dvs=None)
 
 
-def _angles() -> FloatArray:
-    return np.asarray(np.deg2rad(np.arange(0.0, 180.0, _STEP_DEG)), np.float64)
-
-
 def _dark(camera: Camera) -> NDArray[np.float32]:
     recording, _ = camera.record(FlatLight(s0=0.0), _DARK_SECONDS)
     frames = [frame.dn for p in recording.packets() for frame in p.frames]
@@ -145,7 +141,7 @@ def _by_sweep(name: str, camera: Camera, nm: float) -> Iterator[Point]:
         SONY_FULL, _SONY_SECONDS, None)
     steps = [(float(angle), camera.record(
         FlatLight(s0=s0, dolp=1.0, aop=float(angle)), seconds, run=run)[0])
-        for run, angle in enumerate(_angles())]
+        for run, angle in enumerate(np.deg2rad(np.arange(0.0, 180.0, _STEP_DEG)))]
     fit = fit_sweep(read_sweep(steps, dark=dark))
     for angle, place in zip(CHANNELS, camera.layout.places, strict=True):
         part = np.s_[place // 2::2, place % 2::2]

@@ -263,7 +263,8 @@ class Settings:
     def specimens(self) -> list[tuple[int, float]]:
         """Seeds and start angles together."""
         return [(seed, start) for seed in self.seeds
-                for start in self.starts_deg or (_own_start_deg(seed),)]
+                # of their own: ten in a row cover half a turn
+                for start in self.starts_deg or ((17.0 + 18.0 * (seed - 1)) % 180,)]
 
     @property
     def told_specimens(self) -> str:
@@ -273,11 +274,6 @@ class Settings:
                 f"{', '.join(starts)} degrees{', one each' * (not self.starts_deg)}"
                 + (": lines are medians, bands 5 to 95 %"
                    if len(self.specimens) > 1 else ""))
-
-
-def _own_start_deg(seed: int) -> float:
-    """Return a specimen's start angle: ten of them in a row cover half a turn."""
-    return (17.0 + 18.0 * (seed - 1)) % 180.0
 
 
 class Takes:

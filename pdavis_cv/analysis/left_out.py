@@ -207,7 +207,8 @@ class LeftOutFrames:
             off = log.astype(np.float64) - right
             off[~np.isfinite(off)] = 1
             stated = None if variance is None else variance + (
-                self._noise_of(place.frame) if truth is None else 0)
+                0 if truth is not None else
+                np.interp(np.log(np.maximum(place.frame.dn, 1)), *self._noise))
             parts = {True: (_without_cell_mean(off), _variance_in_cell(stated)),
                      False: (off, stated)}
             for kind, where in classes.items():
@@ -251,9 +252,6 @@ class LeftOutFrames:
             yield Estimate(
                 log, np.mean(squares, axis=0) if len(squares) == len(seen) else None,
                 np.logical_and.reduce([each.valid for each in seen]))
-
-    def _noise_of(self, frame: ApsFrame) -> FloatArray:
-        return np.interp(np.log(np.maximum(frame.dn, 1)), *self._noise)
 
     def images(
         self, i: int,

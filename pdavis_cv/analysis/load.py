@@ -121,7 +121,7 @@ def read_load(path: str | Path) -> LoadTrace:
         text = path.read_text("latin-1")
     lines = [(number, line) for number, line in enumerate(text.splitlines(), 1)
              if line.strip() and not line.lstrip().startswith("#")]
-    delimiter = _delimiter([line for _, line in lines[:5]])
+    delimiter = max(";\t,", key=lambda mark: sum(mark in line for _, line in lines[:5]))
     decimal_comma = delimiter != ","
     try:
         rows = [(number, next(csv.reader([line], delimiter=delimiter)))
@@ -182,10 +182,6 @@ def _collect(
     return LoadTrace(
         t, column.get("force"), column.get("displacement"), column.get("trigger"),
         gaps, dropped)
-
-
-def _delimiter(lines: list[str]) -> str:
-    return max(";\t,", key=lambda mark: sum(line.count(mark) > 0 for line in lines))
 
 
 def _classify(row: list[str]) -> dict[str, int]:

@@ -348,7 +348,8 @@ class _Batch:
         """Take back the jobs of a broken executor; each is repeated alone."""
         finished, _ = wait(self._pending, _BROKEN_WAIT_S)
         kept = {future: self._pending[future] for future in finished
-                if not isinstance(_failure(future), BrokenExecutor)}
+                if future.cancelled() or not isinstance(
+                    future.exception(), BrokenExecutor)}
         self._suspects += [attempt for future, attempt in self._pending.items()
                            if future not in kept]
         for attempt in self._suspects:
@@ -364,7 +365,3 @@ class _Batch:
                 future.cancel()
         if pool is not None:
             pool.close(at_once)
-
-
-def _failure(future: Future[Any]) -> BaseException | None:
-    return None if future.cancelled() else future.exception()

@@ -51,7 +51,8 @@ def perform(
     results = results_at(out)
     row = _row(job, attempt)
     start, cpu, again = time.perf_counter(), time.process_time(), False
-    _reset_peak()
+    with contextlib.suppress(OSError):  # the peak of memory, on systems that can
+        _CLEAR.write_text("5")
     with _collected_warnings() as collected:
         try:
             with results.part(job.name) as folder:
@@ -192,12 +193,6 @@ def _deadline(seconds: float | None) -> Iterator[None]:
 
 
 _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
-
-
-def _reset_peak() -> None:
-    """Reset the process's peak of memory, on systems that can."""
-    with contextlib.suppress(OSError):
-        _CLEAR.write_text("5")
 
 
 def _peak_mib() -> float | None:

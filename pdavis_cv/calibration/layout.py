@@ -195,7 +195,8 @@ def detect_layout(
     layouts = [layout for layout in ALL_LAYOUTS
                if _orthogonal(layout, p, q) and _orthogonal(layout, r, s)]
     if family is not None:
-        of_family = [layout for layout in layouts if _same_family(layout, family)]
+        of_family = [layout for layout in layouts if len({
+            (_angle(layout, i) - _angle(family, i)) % 180 for i in range(4)}) == 1]
         if not of_family:
             raise ValueError(
                 f"family {family} cannot be right: orthogonal polarizers stand at "
@@ -213,8 +214,8 @@ def detect_layout(
                    if _step(layout, p, r) == sense * direction]
         if known_angle is not None:
             zero = _angle_of_place(times, phase, known_angle, sense * direction)
-            layouts = sorted(layouts, key=lambda one: abs(_wrapped(
-                np.deg2rad(_angle(one, p)) - zero)))[:1]
+            layouts = sorted(layouts, key=lambda one: abs((np.deg2rad(
+                _angle(one, p)) - zero + np.pi / 2) % np.pi - np.pi / 2))[:1]
     return Candidates(
         tuple(layouts), pairs, scores[best], scores[rival], cycles, direction, source)
 
@@ -235,16 +236,6 @@ def _orthogonal(layout: Layout, i: int, j: int) -> bool:
 def _step(layout: Layout, i: int, j: int) -> int:
     """Return 1 if the polarizer at place j is at +45 degrees from i, -1 if at -45."""
     return 1 if (_angle(layout, j) - _angle(layout, i)) % 180 == 45 else -1
-
-
-def _same_family(one: Layout, other: Layout) -> bool:
-    """Return whether two layouts differ by a constant angle only."""
-    return len({(_angle(one, i) - _angle(other, i)) % 180 for i in range(4)}) == 1
-
-
-def _wrapped(angle: float) -> float:
-    """Return an axial difference in (-pi/2, pi/2]."""
-    return float((angle + np.pi / 2) % np.pi - np.pi / 2)
 
 
 def _angle_of_place(

@@ -185,15 +185,12 @@ class Cursor:
             return len(self.times_us)
         if start is None:
             return 0
-        stops = [stop for stop in (self._last_stop(), self.fusion.stop_us)
+        last = self._recording.info.stop_us
+        if last is None:
+            last = self._recording.scan().stop_us
+        stops = [stop for stop in (last, self.fusion.stop_us)
                  if stop is not None]
         return grid_count(min(stops) - start, rate) if stops else 0
-
-    def _last_stop(self) -> int | None:
-        recording = self._recording
-        if recording.info.stop_us is not None:
-            return recording.info.stop_us
-        return recording.scan().stop_us
 
     def _frame_times(self) -> NDArray[np.int64]:
         start = self.fusion.start_us

@@ -189,7 +189,8 @@ class VideoCapture(Advises):
             if filename is not None and index is not None:
                 self._refuse(function, "filename and index exclude each other")
             several = isinstance(source, (list, tuple)) and len(source) > 0
-            if not _is_source(source) and not several:
+            if not (several or _is_integer(source) or isinstance(
+                    source, (str, bytes, os.PathLike, Source, io.BufferedIOBase))):
                 self._refuse(function, f"can't open by {type(source).__name__}")
             if not _is_integer(backend):
                 self._refuse(function, "apiPreference must be an integer")
@@ -559,8 +560,3 @@ class VideoCapture(Advises):
 
 def _is_integer(value: Any) -> bool:
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-
-
-def _is_source(value: Any) -> bool:
-    return _is_integer(value) or isinstance(
-        value, (str, bytes, os.PathLike, Source, io.BufferedIOBase))

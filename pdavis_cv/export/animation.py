@@ -103,21 +103,16 @@ class AnimationFile(SeriesFile):
                 f"{self.count} pictures of this size; write a .webm")
         self._pictures.append(np.array(picture, np.uint8))
 
-    def _durations_ms(self) -> list[int]:
-        """Return the duration of each picture; rounding errors do not accumulate."""
-        unit = _UNIT_MS[self.path.suffix.lower()]
-        ends = [round(k * 1000 / self.fps / unit) * unit
-                for k in range(self.count + 1)]
-        return [b - a for a, b in itertools.pairwise(ends)]
-
     def _finish(self) -> None:
         if not self._pictures:
             raise ValueError(f"{self.path}: no picture to write")
         cv2 = self._cv2
         animation = cv2.Animation()
         animation.frames, animation.loop_count = self._pictures, 0  # for ever
-        animation.durations = self._durations_ms()
         suffix = self.path.suffix.lower()
+        unit = _UNIT_MS[suffix]     # rounding errors of durations do not accumulate
+        ends = [round(k * 1000 / self.fps / unit) * unit for k in range(self.count + 1)]
+        animation.durations = [b - a for a, b in itertools.pairwise(ends)]
         options = ([cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY] if suffix == ".webp" else
                    [cv2.IMWRITE_GIF_QUALITY, _GIF_DITHERED,
                     cv2.IMWRITE_GIF_COLORTABLE, _GIF_OWN_COLOURS])

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import threading
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
@@ -140,13 +141,8 @@ class LiveSource(Source):
                     f"{self.name}: packets() of a Source can be called once, and it "
                     "was called before; a Recording can be read again")
             self._begun = True
-        return in_order(self._until_closed(), self._log)
-
-    def _until_closed(self) -> Iterator[Packet]:
-        for packet in self._arrivals():
-            if self._closed.is_set():
-                return
-            yield packet
+        return in_order(itertools.takewhile(
+            lambda _: not self._closed.is_set(), self._arrivals()), self._log)
 
     @abstractmethod
     def _arrivals(self) -> Iterator[Packet]:

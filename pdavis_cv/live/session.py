@@ -274,7 +274,11 @@ class Session:
         image = self._fusion.image()
         self._last_image_s = time.monotonic()
         self._patience.image_at(self._last_image_s)
-        self._note_latency(image)
+        with self._clock_lock:
+            shown_s = None if image.t_us is None else self.clock.host_s(
+                round(image.t_us / self._speed))
+        if shown_s is not None and self._lossy:
+            self._latency.add(1e3 * (time.monotonic() - shown_s))
         self._give(image)
         return True
 
@@ -295,13 +299,6 @@ class Session:
                       f"follow: {method} goes on")
         self._fusion = self._fusion_of(
             self._fusion.options.replace(method=method, parameters={}))
-
-    def _note_latency(self, image: PolarFrame) -> None:
-        with self._clock_lock:
-            shown_s = None if image.t_us is None else self.clock.host_s(
-                round(image.t_us / self._speed))
-        if shown_s is not None and self._lossy:
-            self._latency.add(1e3 * (time.monotonic() - shown_s))
 
     def _give(self, image: PolarFrame) -> None:
         self._made.add(1)

@@ -112,7 +112,10 @@ class _Unpickler(pickle.Unpickler):
     """
 
     def __init__(self, data: bytes, storage: Callable[..., Array], path: str) -> None:
-        _scan(data)
+        for code, argument, _ in pickletools.genops(data):
+            if "PUT" in code.name and int(argument or 0) > len(data):
+                # its memo would fill the memory
+                raise ValueError(f"memo {argument} in a pickle of {len(data)} bytes")
         super().__init__(io.BytesIO(data), encoding="utf-8")
         self._storage, self._path = storage, path
 
@@ -228,13 +231,6 @@ def _pickle_size(data: bytes) -> int:
         if code.name == "STOP":
             return int(at or 0) + 1
     raise ValueError("a pickle without an end")
-
-
-def _scan(data: bytes) -> None:
-    """Refuse a pickle whose memo would fill the memory."""
-    for code, argument, _ in pickletools.genops(data):
-        if "PUT" in code.name and int(argument or 0) > len(data):
-            raise ValueError(f"memo {argument} in a pickle of {len(data)} bytes")
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> bytes:

@@ -51,13 +51,9 @@ class _Program(ctypes.Structure):
     _fields_ = (("length", ctypes.c_uint16), ("steps", ctypes.POINTER(_Step)))
 
 
-@functools.cache
-def _system() -> ctypes.CDLL:
-    return ctypes.CDLL(None, use_errno=True)
-
-
 def _call(function: str, *arguments: object) -> int:
-    found: int = getattr(_system(), function)(*arguments)
+    system = ctypes.CDLL(None, use_errno=True)
+    found: int = getattr(system, function)(*arguments)
     if found < 0:
         error = ctypes.get_errno()
         raise OSError(error, os.strerror(error))

@@ -40,16 +40,13 @@ class Search:
             self._until = max(self._until, at)
             if self._until >= until:
                 return
-            self._extend()
+            base = self._until
+            block = self._reader.read(base, _BLOCK + _MORE)
+            self.wasted(len(block))
+            self._found += (base + i for i in self._begins(base, block) if i < _BLOCK)
+            self._until = base + _BLOCK
 
     def wasted(self, size: int) -> None:
         """Take bytes that were read in vain."""
         self._looked += size
         self._budget.searched(self._looked)
-
-    def _extend(self) -> None:
-        base = self._until
-        block = self._reader.read(base, _BLOCK + _MORE)
-        self.wasted(len(block))
-        self._found += (base + i for i in self._begins(base, block) if i < _BLOCK)
-        self._until = base + _BLOCK

@@ -104,7 +104,10 @@ def text_form(start: bytes) -> TextForm | None:
             form.columns = len(values)
             return form
         if text.startswith(("#", "%")):
-            _comment(form, text)
+            form.bottom |= "dvs-events: One event per line" in text
+            names = _names(text.rpartition(":")[2])
+            if len(names) >= 4 and all(map(_known, names[:4])):   # of columns
+                _header(form, names)
         elif form.size is None and not named and (found := _SIZE.fullmatch(text)):
             form.size = int(found[2]), int(found[1])
         elif values and not named and re.match(r"[,;]?[\"'(]?[A-Za-z_]", text):
@@ -115,14 +118,6 @@ def text_form(start: bytes) -> TextForm | None:
             return None
         form.begin += len(line) + 1
     return None
-
-
-def _comment(form: TextForm, text: str) -> None:
-    """Take names of columns from a comment, if it is a list of such."""
-    form.bottom |= "dvs-events: One event per line" in text
-    names = _names(text.rpartition(":")[2])
-    if len(names) >= 4 and all(map(_known, names[:4])):
-        _header(form, names)
 
 
 def _names(text: str) -> list[str]:

@@ -194,7 +194,8 @@ def write(args: argparse.Namespace, found: Findings) -> list[Path]:
     if any(found.loops):
         written.append(out / "loop.csv")
         export.write_csv(
-            written[-1], ("roi", _load_name(found), "dolp"),
+            written[-1], ("roi", "force_n" if "force_n" in found.extra else
+                          "displacement_mm", "dolp"),
             ((roi.name, x, y) for roi, loop in zip(rois, found.loops, strict=True)
              if loop is not None for x, y in zip(loop.x, loop.y, strict=True)),
             digits=7, **table)
@@ -204,7 +205,3 @@ def write(args: argparse.Namespace, found: Findings) -> list[Path]:
         "harmonics": found.light.fit.harmonics,
         "clock": clock_of(found), "facts": facts})
     return written
-
-
-def _load_name(found: Findings) -> str:
-    return "force_n" if "force_n" in found.extra else "displacement_mm"
