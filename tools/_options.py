@@ -133,11 +133,14 @@ def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, An
 
     A recording without a sample after ``--start`` is a UsageError.
     """
+    from pdavis_cv._workers import usable_cores
+    from pdavis_cv.fusion.iteration import LEAST_PIXELS
     from pdavis_cv.fusion.options import FusionOptions
     defaults = FusionOptions()
     options: dict[str, Any] = {
         name: getattr(defaults, name) for name, _ in offered(FusionOptions)}
-    options["threads"] = _threads_for(recording.info.sensor_size)
+    height, width = recording.info.sensor_size
+    options["threads"] = usable_cores() if height * width >= LEAST_PIXELS else 1
     options |= fusion_given(args)
     for name in ("start_us", "stop_us"):
         if options[name] is not None:
@@ -205,13 +208,6 @@ def option_value(name: str, text: str) -> tuple[str, Any]:
         return name, calibration_of(value)
     none = found.word in ("ratio", "offset") and value == "none"
     return name, None if none else value
-
-
-def _threads_for(size: tuple[int, int]) -> int:
-    """Return the number of threads for images of a size, 1 for small ones."""
-    from pdavis_cv._workers import usable_cores
-    from pdavis_cv.fusion.iteration import LEAST_PIXELS
-    return usable_cores() if size[0] * size[1] >= LEAST_PIXELS else 1
 
 
 def calibration_of(path: Path) -> Calibration:

@@ -100,7 +100,9 @@ def _measure(
         print(" ", line)
     merged = known.merge(Calibration(
         sensor_size=known.sensor_size, serial=info.serial,
-        notes={part: note, **_conditions(args)}))
+        notes={part: note, **{name: stated for name in (
+            "wavelength_nm", "f_number", "temperature_c")
+            if (stated := getattr(args, name, None)) is not None}}))
     values = {name: value for name, value in values.items() if value is not None}
     if "layout" in values and args.force:
         merged = merged.replace(layout=None)
@@ -109,12 +111,6 @@ def _measure(
     if write_report(report, page):
         print(f"wrote {report}")
     return merged
-
-
-def _conditions(args: argparse.Namespace) -> dict[str, Any]:
-    names = ("wavelength_nm", "f_number", "temperature_c")
-    return {name: getattr(args, name) for name in names
-            if getattr(args, name, None) is not None}
 
 
 def _dark(

@@ -82,7 +82,11 @@ def _shown(args: argparse.Namespace) -> tuple[int, dict[str, Any]]:
         dolp = _tendon(folder / "tendon.png", recording)
     stage(f"a polarizer at {RPM} RPM, simulated and fused")
     aop_deg = _polarizer(folder / f"polarizer_{RPM}rpm.png")
-    code = _real(folder)
+    real = example_recording()      # it has no polarizers: its intensity is shown
+    code = export_tool.main([
+        str(real), "--layout", "pdavis", "--quantities", "s0", "--fps", "100",
+        "--slow", "10", "--title", "a real DAVIS346",
+        "-o", f"{folder / real.stem}.webm"])
     if code == 0:
         _say(f"The results are in {folder.resolve()}\n"
              "More of one recording:\n  " + shlex.join((
@@ -172,15 +176,6 @@ def _polarizer(path: Path) -> dict[str, float]:
     export.write_png(path, render.tile([render.stack(rows, gap=6)], columns=1))
     _say(f"wrote {path}: AoP over time")
     return errors
-
-
-def _real(folder: Path) -> int:
-    """Show the intensity of the real recording; it has no polarizers."""
-    path = example_recording()
-    return export_tool.main([
-        str(path), "--layout", "pdavis", "--quantities", "s0", "--fps", "100",
-        "--slow", "10", "--title", "a real DAVIS346",
-        "-o", f"{folder / path.stem}.webm"])
 
 
 def mean_aop(frame: PolarFrame) -> float:

@@ -191,7 +191,12 @@ class FusionOptions(Options):
         put("threads", int(self.threads))
         checked_choice(self.thresholds)
         put("clock_offset_us", _checked_offset(self.clock_offset_us))
-        put("denoise", _checked_denoise(self.denoise))
+        if isinstance(self.denoise, Mapping):
+            put("denoise", dict(self.denoise))
+        else:
+            typed("denoise", self.denoise, bool | np.bool_,
+                  "a bool or a mapping of parameters of EventDenoiser")
+            put("denoise", bool(self.denoise))
 
 
 class FusionKeywords(MethodKeywords, total=False):
@@ -312,14 +317,6 @@ def _checked_offset(value: Any) -> float | str | None:
             "clock_offset_us must be 'learned', None or within "
             f"{_MOST_OFFSET_US} of 0, got {value!r}")
     return float(value)
-
-
-def _checked_denoise(value: Any) -> bool | dict[str, Any]:
-    if isinstance(value, Mapping):
-        return dict(value)
-    typed("denoise", value, bool | np.bool_,
-          "a bool or a mapping of parameters of EventDenoiser")
-    return bool(value)
 
 
 FusionOptions.__doc__ = documented(FusionOptions.__doc__, FusionOptions)

@@ -120,7 +120,13 @@ class EventDenoiser:
             last = int(events["t"][at - 1]) if at > before else last
             if int(events["t"][at]) < max(self._stop_us, last):
                 break           # it lies off the sensor or is late: `took` raises
-            self._end_windows(int(events["t"][at]))
+            # The rates of all intervals that end at or before this event.
+            passed = (int(events["t"][at]) - self._stop_us) // RATE_WINDOW_US + 1
+            self._stop_us += passed * RATE_WINDOW_US
+            for _ in range(min(passed, _FORGOTTEN)):
+                _kernels.denoise_rates(
+                    self._counts, self._rates, self._hot, RATE_SHARE,
+                    1e6 / RATE_WINDOW_US, HOT_FLOOR_HZ, HOT_FACTOR)
         self._clock.took(events, at)
         return keep.view(np.bool_)
 
@@ -129,16 +135,6 @@ class EventDenoiser:
         events = as_events(events)
         kept: Events = events[self.keep(events)]
         return kept
-
-    def _end_windows(self, t_us: int) -> None:
-        """Update the rates for all intervals that end at or before t_us."""
-        assert self._stop_us is not None
-        passed = (t_us - self._stop_us) // RATE_WINDOW_US + 1
-        self._stop_us += passed * RATE_WINDOW_US
-        for _ in range(min(passed, _FORGOTTEN)):
-            _kernels.denoise_rates(
-                self._counts, self._rates, self._hot, RATE_SHARE,
-                1e6 / RATE_WINDOW_US, HOT_FLOOR_HZ, HOT_FACTOR)
 
     def state(self) -> State:
         """Return copies of everything that events change."""

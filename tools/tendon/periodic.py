@@ -140,7 +140,9 @@ def measure(
     if np.any(delay):
         whole = whole.delayed(delay)
     pixels = np.array([int(mask.sum()) for mask in inside])
-    fit = _on_time(fit, inside, delay)
+    fit = replace(fit, regions=tuple(      # with the mean delay of their columns
+        one.delayed(np.average(delay, weights=mask.sum(0)))
+        for one, mask in zip(fit.regions, inside, strict=False)))
     return PeriodicLight(
         fit, t, stokes, pixels,
         _errors(args, recording, fit, whole, inside, last, exposure),
@@ -160,15 +162,6 @@ def _masks(
     x, y = (int(v) for v in image.provenance.get("roi", (0, 0))[:2])
     return [roi.mask((image.shape[0], image.shape[1]), origin=(x, y),
                      scale=_place(image)[1]) for roi in regions]
-
-
-def _on_time(
-    fit: analysis.Periodic, masks: list[NDArray[np.bool_]], delay: FloatArray
-) -> analysis.Periodic:
-    """Return the fit of regions with the mean delay of their columns."""
-    return replace(fit, regions=tuple(
-        one.delayed(np.average(delay, weights=mask.sum(0)))
-        for one, mask in zip(fit.regions, masks, strict=False)))
 
 
 def _errors(
