@@ -36,7 +36,7 @@ docs: $(VENV)/.with-docs
 	@echo "build/docs/index.html"
 
 # make fuzz MINUTES=60: read damaged recordings, and valid ones with a lie, for so long
-MINUTES := 1
+fuzz: MINUTES ?= 1
 fuzz: $(VENV)/.with-test
 	$(VENV)/bin/python -P lab/fuzz/fuzz.py --seconds $$((60 * $(MINUTES)))
 
@@ -47,7 +47,7 @@ paper: $(VENV)/.with-lab
 bench: $(VENV)/.with-lab
 	$(VENV)/bin/python -m lab.bench
 
-MINUTES := 40
+soak: MINUTES ?= 40
 soak: $(VENV)/.with-test
 	$(VENV)/bin/python -m lab.soak --minutes $(MINUTES)
 
