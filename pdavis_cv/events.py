@@ -241,18 +241,10 @@ def slices(
         stop_us = start_us + whole * duration_us
     if start_us is None or stop_us is None:
         return iter(())
-    return _by_duration(events, duration_us, start_us, stop_us)
-
-
-def _by_duration(
-    events: Events, duration: int, start: int, stop: int
-) -> Iterator[EventSlice]:
-    t, at = events["t"], 0
-    while start < stop:
-        end = min(start + duration, stop)
-        to = bisect_left(t, end, at)
-        yield EventSlice(start, end, events[at:to])
-        start, at = end, to
+    t = events["t"]
+    return (EventSlice(start, min(start + duration_us, stop_us), events[
+                bisect_left(t, start):bisect_left(t, start + duration_us)])
+            for start in range(start_us, stop_us, duration_us))
 
 
 def voxel_grid(

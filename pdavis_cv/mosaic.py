@@ -118,7 +118,10 @@ def demosaic(
     if valid is not None:
         valid = _checked_valid(valid)
     if variance is not None:
-        variance = _checked_variance(variance)
+        variance = np.asarray(variance)
+        if variance.dtype != np.float32:
+            raise TypeError(f"variance must be float32, got {variance.dtype}")
+        variance = np.ascontiguousarray(variance)
     for name, array in (("valid", valid), ("variance", variance)):
         if array is not None and array.shape != mosaic.shape:
             raise ValueError(f"{name} must have the mosaic's shape {mosaic.shape}, got "
@@ -213,13 +216,6 @@ def demosaic_variance(
 
 _ALL_CLEAN = np.empty((0, 0), np.uint8)
 _NO_NOISE = np.empty((0, 0), np.float32)
-
-
-def _checked_variance(variance: NDArray[np.float32]) -> NDArray[np.float32]:
-    variance = np.asarray(variance)
-    if variance.dtype != np.float32:
-        raise TypeError(f"variance must be float32, got {variance.dtype}")
-    return np.ascontiguousarray(variance)
 
 
 def _checked_valid(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:

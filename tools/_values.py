@@ -119,10 +119,7 @@ def layout_option(text: str) -> Layout:
 
 
 def thresholds(text: str) -> str | tuple[float, float]:
-    if "," not in text:
-        return text
-    on, off = numbers(text, 2)
-    return on, off
+    return pair(text) if "," in text else text
 
 
 def setting(text: str) -> tuple[str, Any]:
@@ -146,15 +143,11 @@ def _several(text: str) -> tuple[float, ...]:
 
 
 def ratio(text: str) -> float | str:
-    if text in ("nominal", "none"):
-        return text
-    return float(numbers(text, 1)[0])
+    return text if text in ("nominal", "none") else float(numbers(text, 1)[0])
 
 
 def offset(text: str) -> float | str:
-    if text in ("learned", "none"):
-        return text
-    return float(numbers(text, 1)[0])
+    return text if text in ("learned", "none") else float(numbers(text, 1)[0])
 
 
 def pair(text: str) -> tuple[float, float]:

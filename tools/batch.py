@@ -44,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         table = batch.run(
             args.files, options, args.out, work=work, executor=args.executor,
             workers=args.jobs, retries=args.retries, timeout_s=args.timeout,
-            progress=asked_for() or None, stated=_stated(args))
+            progress=asked_for() or None, stated=SourceOptions(**source_given(args)))
     failed = table.failed
     lines = [f"{row['recording']}: {row['error']}" for row in failed[:20]]
     if len(failed) > 20:
@@ -100,10 +100,6 @@ def _parser() -> argparse.ArgumentParser:
     add_json_option(parser)
     add_source_options(parser)
     return parser
-
-
-def _stated(args: argparse.Namespace) -> SourceOptions:
-    return SourceOptions(**source_given(args))
 
 
 def _setting(text: str) -> tuple[str, list[str]]:
@@ -166,7 +162,8 @@ def _dry_run(
     jobs: list[dict[str, Any]] = []
     with for_people(args):
         for job, is_done in batch.plan(
-                args.files, options, args.out, work=work, stated=_stated(args)):
+                args.files, options, args.out, work=work,
+                stated=SourceOptions(**source_given(args))):
             print(f"{'done ' if is_done else 'to do'}  {job.name}  {job.source}")
             jobs.append({"name": job.name, "recording": job.source, "done": is_done})
     tell(args, [f"{len(jobs)} jobs, {sum(job['done'] for job in jobs)} of them done"],

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from pdavis_cv import Calibration, Layout, Recording, fuse
+from pdavis_cv import Calibration, Recording, fuse
 from pdavis_cv.analysis import found_zero
 from pdavis_cv.aps import clip_level
 from pdavis_cv.calibration.check import check_recording
 from pdavis_cv.calibration.frames import dark_frame, flat_frame, frames_of
 from pdavis_cv.calibration.layout import detect_layout
-from pdavis_cv.calibration.sweep import SweepFit, fit_sweep, read_sweep, steps_in_time
+from pdavis_cv.calibration.sweep import fit_sweep, read_sweep, steps_in_time
 from pdavis_cv.fusion.learning import learned_camera
 from pdavis_cv.recording.base import start_of
 from pdavis_cv.sensor import CHANNELS, NOMINAL_THRESHOLDS, resolve_layout
@@ -175,8 +175,12 @@ def _sweep(
     if count != len(recordings):
         raise UsageError(f"--angles names {len(args.angles or ())} angles for "
                          f"{len(recordings)} files")
-    fit = _fit(_steps(recordings[0], args) if args.angles is None else
-               zip(np.deg2rad(args.angles), recordings, strict=True), known)
+    # The file has no number of frames for the dark values: use that of the paper.
+    error = 0.0 if known.dark_noise is None else known.dark_noise / np.sqrt(100)
+    fit = fit_sweep(read_sweep(
+        _steps(recordings[0], args) if args.angles is None else
+        zip(np.deg2rad(args.angles), recordings, strict=True),
+        dark=known.dark, gain=known.gain, dark_sigma=error))
     page = Page("Analyser matrix from a polarizer sweep")
     of = "" if args.wavelength_nm is None else f" at {args.wavelength_nm:g} nm"
     for angle, place in zip(CHANNELS, layout.places, strict=True):
@@ -190,8 +194,10 @@ def _sweep(
                  f"(error of one {np.rad2deg(np.median(fit.angle_sigma)):.3f})")
     page.say(f"lamp polarization{of}", f"{100 * np.hypot(*fit.source):.2f} %, "
              f"beam wander {100 * np.hypot(*fit.wander):.2f} %")
-    page.say("response of the cell", f"condition number {_condition(fit, layout):.2f} "
-             "(ideal 1.41)")
+    cells = [np.median(fit.analyser[place // 2::2, place % 2::2], axis=(0, 1))
+             for place in layout.places]
+    page.say("response of the cell",
+             f"condition number {np.linalg.cond(np.stack(cells)):.2f} (ideal 1.41)")
     page.say("residual", f"{np.median(fit.residual):.2f} of the expected noise; "
              f"{np.count_nonzero(~fit.usable)} pixels left out")
     page.image("extinction ratio", fit.extinction_ratio)
@@ -199,19 +205,6 @@ def _sweep(
     page.histogram("extinction ratio", fit.extinction_ratio)
     usable = fit.usable if known.usable is None else fit.usable & known.usable
     return {"analyser": fit.analyser, "usable": usable, "layout": layout}, page
-
-
-def _fit(steps: Any, known: Calibration) -> SweepFit:
-    # The file has no number of frames for the dark values: use that of the paper.
-    error = 0.0 if known.dark_noise is None else known.dark_noise / np.sqrt(100)
-    return fit_sweep(read_sweep(
-        steps, dark=known.dark, gain=known.gain, dark_sigma=error))
-
-
-def _condition(fit: SweepFit, layout: Layout) -> float:
-    cells = [np.median(fit.analyser[place // 2::2, place % 2::2], axis=(0, 1))
-             for place in layout.places]
-    return float(np.linalg.cond(np.stack(cells)))
 
 
 def _steps(recording: Recording, args: argparse.Namespace) -> Any:

@@ -16,14 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdavis_cv import PolarFrame, Recording, aop, export, fuse, render
 from pdavis_cv._opencv import opencv
 from pdavis_cv.analysis import Roi, TraceRecorder, axial_difference
 from pdavis_cv.data import example_recording
 from pdavis_cv.render import ToneCurve
-from pdavis_cv.simulation import Camera, RotatingPolarizer, Truth, example_truth
+from pdavis_cv.simulation import Camera, RotatingPolarizer, example_truth
 
 from . import export as export_tool, fan as fan_tool
 from ._common import Parser, add_json_option, command, for_people, tell
@@ -122,7 +121,9 @@ def _tendon(path: Path, recording: Recording) -> dict[str, float]:
     seen = seen[(seen["t"] >= now - _WINDOW_US) & (seen["t"] < now)]
     scale, tone = 3, ToneCurve.of([held.s0], [held.valid])
     times = traces["kalman"].t_us
-    true = _mean_dolp(example_truth("tendon"), times)
+    truth = example_truth("tendon")
+    mean = np.array([[part.mean() for part in truth.image(t)] for t in times])
+    true = np.hypot(mean[:, 1], mean[:, 2]) / mean[:, 0]
     lines = [
         render.Line(times / 1e6, true, _COLOURS["truth"], "truth"),
         *(render.Line(trace.t_us / 1e6, trace.table["dolp"][0], _COLOURS[name], name,
@@ -139,12 +140,6 @@ def _tendon(path: Path, recording: Recording) -> dict[str, float]:
     _say(f"wrote {path}: mean error of the tendon's DoLP "
          + ", ".join(f"{name} {value:.3f}" for name, value in error.items()))
     return error
-
-
-def _mean_dolp(truth: Truth, times: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the DoLP of the mean Stokes vector of all pixels at some times."""
-    mean = np.array([[part.mean() for part in truth.image(t)] for t in times])
-    return np.asarray(np.hypot(mean[:, 1], mean[:, 2]) / mean[:, 0])
 
 
 def _polarizer(path: Path) -> dict[str, float]:

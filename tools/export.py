@@ -136,6 +136,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         "export", __doc__ or "",
         "pdavis export recording.aedat4 -o fused.webm --fps 200 --slow 8")
+    names = [*(name for name in QUANTITIES if name != "events"), *GROUPS]
     add_file(parser, "a recording")
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="OUT", help="file to write")
@@ -150,7 +151,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--quantities", type=_quantities, default=["s0", "aop", "dolp"],
         metavar="LIST",
-        help=f"quantities from {', '.join(_names())}; default s0,aop,dolp")
+        help=f"quantities from {', '.join(names)}; default s0,aop,dolp")
     parser.add_argument(
         "--colour", choices=COLOURS,
         help="of a colour sensor, images of this light alone; default: of all light "
@@ -215,10 +216,6 @@ def _parser() -> argparse.ArgumentParser:
     add_json_option(parser)
     add_fuse_options(parser)
     return parser
-
-
-def _names() -> list[str]:
-    return [*(name for name in QUANTITIES if name != "events"), *GROUPS]
 
 
 def _quantities(text: str) -> list[str]:

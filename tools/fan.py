@@ -140,7 +140,8 @@ def make_fan(
             picture = render.fan_sheet(
                 rows, scale=args.scale or screen_scale(rows[0][1].shape),
                 least_dolp=args.mask_dolp,
-                title=_title(args, recording, t - origin))
+                title=f"{recording.name}   t = {(t - origin) / 1e6:.4f} s   "
+                      f"{args.slow:g} x slower   {args.fps:g} images/s")
             if video.count == len(times) // 2:
                 still = picture
             video.add(picture)
@@ -162,11 +163,6 @@ def make_fan(
         lines += _write_sectors(args, wheel, measured, facts, origin)
         told["wrote"].append(path)
     return lines, told
-
-
-def _title(args: argparse.Namespace, recording: Recording, t_us: int) -> str:
-    return (f"{recording.name}   t = {t_us / 1e6:.4f} s   {args.slow:g} x slower   "
-            f"{args.fps:g} images/s")
 
 
 def _beside(

@@ -38,7 +38,7 @@ from ._camera import of_all_pixels
 from ._common import Parser, UsageError, checked_out, command
 from ._options import add_file, add_source_options, calibration_of, opened
 from ._progress import progress
-from ._values import numbers, positive
+from ._values import pair, positive
 
 _CELLS = CLASSES[-1]
 
@@ -224,10 +224,7 @@ def _possible(
 
 
 def _source(text: str) -> str | tuple[float, float]:
-    if text in SOURCES:
-        return text
-    on, off = numbers(text, 2)
-    return on, off
+    return text if text in SOURCES else pair(text)
 
 
 def _tries(

@@ -22,7 +22,7 @@ from pdavis_cv.reconstruct.methods import default_method
 from pdavis_cv.recording.base import Recording, start_of
 
 if TYPE_CHECKING:   # imported by the workers only
-    from pdavis_cv.analysis import LeftOutFrames, Roi, Traces
+    from pdavis_cv.analysis import LeftOutFrames, Traces
     from pdavis_cv.polarimetry import PolarFrame
     from pdavis_cv.reconstruct.base import Estimate
 
@@ -115,7 +115,9 @@ class Trace(_Part):
         first = _first(images)
         analysis = pdavis_cv.analysis
         rois = [roi for text in self.regions for roi in analysis.parse_roi(text)]
-        recorder = analysis.TraceRecorder(rois or [_whole(recording, options)])
+        height, width = recording.info.sensor_size
+        recorder = analysis.TraceRecorder(rois or [analysis.Roi.from_rectangle(
+            *(options.roi or (0, 0, width, height)), name="all")])
         recorder.add(first)
         for image in images:
             recorder.add(image)
@@ -125,12 +127,6 @@ class Trace(_Part):
         _draw(first, folder)
         return {"method": first.provenance["method"], "images": recorder.count,
                 **_means(traces)}
-
-
-def _whole(recording: Recording, options: FusionOptions) -> Roi:
-    height, width = recording.info.sensor_size
-    return pdavis_cv.analysis.Roi.from_rectangle(
-        *(options.roi or (0, 0, width, height)), name="all")
 
 
 def _means(traces: Traces) -> dict[str, float]:

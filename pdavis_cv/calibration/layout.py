@@ -213,7 +213,11 @@ def detect_layout(
         layouts = [layout for layout in layouts
                    if _step(layout, p, r) == sense * direction]
         if known_angle is not None:
-            zero = _angle_of_place(times, phase, known_angle, sense * direction)
+            t, angle = known_angle
+            if not times[0] <= t <= times[-1]:
+                raise ValueError(
+                    f"known_angle must lie in {times[0]}..{times[-1]} us, got {t}")
+            zero = float(angle - sense * direction * np.interp(t, times, phase) / 2)
             layouts = sorted(layouts, key=lambda one: abs((np.deg2rad(
                 _angle(one, p)) - zero + np.pi / 2) % np.pi - np.pi / 2))[:1]
     return Candidates(
@@ -236,15 +240,3 @@ def _orthogonal(layout: Layout, i: int, j: int) -> bool:
 def _step(layout: Layout, i: int, j: int) -> int:
     """Return 1 if the polarizer at place j is at +45 degrees from i, -1 if at -45."""
     return 1 if (_angle(layout, j) - _angle(layout, i)) % 180 == 45 else -1
-
-
-def _angle_of_place(
-    times: NDArray[np.int64], phase: NDArray[np.float64],
-    known: tuple[int, float], sign: int,
-) -> float:
-    """Return the angle of the first place's polarizer from one known angle of light."""
-    t, angle = known
-    if not times[0] <= t <= times[-1]:
-        raise ValueError(
-            f"known_angle must lie in {times[0]}..{times[-1]} us, got {t}")
-    return float(angle - sign * np.interp(t, times, phase) / 2)

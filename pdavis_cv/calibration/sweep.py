@@ -171,17 +171,13 @@ def _error(mean: Mean) -> NDArray[np.float64]:
         return np.full(mean.mean.shape, 1 / 12)
     # A pixel's own scatter over few frames is too uncertain for a weight.
     level, scatter = mean.mean[good], mean.noise[good] ** 2
-    return np.asarray((np.full(mean.mean.shape, float(np.mean(scatter)))
-                       if level.size < 100 or np.ptp(level) < 1
-                       else _shot_noise(level, scatter, mean.mean)) / count + 1e-3)
-
-
-def _shot_noise(
-    level: NDArray[np.float64], scatter: NDArray[np.float64], at: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    slope, base = np.polyfit(level, scatter, 1)
-    least = max(float(np.median(scatter)) * 1e-2, 1e-6)
-    return np.asarray(np.maximum(base + slope * np.nan_to_num(at), least))
+    if level.size < 100 or np.ptp(level) < 1:
+        square = np.full(mean.mean.shape, float(np.mean(scatter)))
+    else:
+        slope, base = np.polyfit(level, scatter, 1)
+        least = max(float(np.median(scatter)) * 1e-2, 1e-6)
+        square = np.maximum(base + slope * np.nan_to_num(mean.mean), least)
+    return np.asarray(square / count + 1e-3)
 
 
 def fit_sweep(sweep: Sweep) -> SweepFit:

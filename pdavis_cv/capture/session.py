@@ -22,7 +22,7 @@ from pdavis_cv.fusion.turning import TurningFusion
 from pdavis_cv.live import Session as LiveSession
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.polarimetry import PolarFrame
-from pdavis_cv.recording.base import ApsFrame, Recording, Source
+from pdavis_cv.recording.base import Recording, Source
 from pdavis_cv.render import ToneCurve
 
 FAILURES = (OSError, PdavisError, ValueError, ImportError)
@@ -88,7 +88,14 @@ class Session:
         self.cursor: Cursor | LiveCursor
         self._live: LiveSession | None = None
         try:
-            self.cursor, self._first = self._initial_cursor()
+            if isinstance(self.recording, Recording):
+                self.cursor = Cursor(self._fusion(parameters))
+                self._first = picture.first_frame(self.recording)
+            else:
+                self._live = LiveSession(self.recording, **fusion_part(parameters))
+                self._live.wait(view.open_timeout_ms / 1000)
+                self.cursor = LiveCursor(self._live, view.read_timeout_ms / 1000)
+                self._first = self._live.first_frame
             self._tone = self._made_tone(view)
         except BaseException:
             self.close()
@@ -97,16 +104,6 @@ class Session:
         self._frame: PolarFrame | None = None
         self._broken: Exception | None = None
         self._capture_fps: float | None = None
-
-    def _initial_cursor(self) -> tuple[Cursor | LiveCursor, ApsFrame | None]:
-        """Return a cursor before the first image, and the first frame if known."""
-        if isinstance(self.recording, Recording):
-            return (Cursor(self._fusion(self.parameters)),
-                    picture.first_frame(self.recording))
-        self._live = LiveSession(self.recording, **fusion_part(self.parameters))
-        self._live.wait(self.view.open_timeout_ms / 1000)
-        return (LiveCursor(self._live, self.view.read_timeout_ms / 1000),
-                self._live.first_frame)
 
     def close(self) -> None:
         """Close what this session opened."""
@@ -292,11 +289,6 @@ class Session:
         depth = "8U" if output.quantity.dtype == np.uint8 else "32F"
         return type_code(f"CV_{depth}C{len(output.quantities)}")
 
-    def _exposure_us(self) -> float | None:
-        if self._first is None:
-            return None
-        return self._first.exposure_ms * 1000 or None
-
     def _rate_of_frames(self) -> float:
         if isinstance(self.cursor, LiveCursor):
             return 0.0
@@ -307,9 +299,6 @@ class Session:
                 (len(times) - 1) * 1e6 / (times[-1] - times[0]))
         return self._capture_fps
 
-    def _ratio(self) -> float:
-        return self.cursor.index / max(self.cursor.count, 1)
-
 
 def _time(value: int | None) -> float | None:
     return None if value is None else float(value)
@@ -318,7 +307,7 @@ def _time(value: int | None) -> float | None:
 _GETTERS: dict[int, Callable[[Session], float | None]] = {
     _POS_MSEC: Session._pos_msec,
     _POS_FRAMES: lambda s: float(s.cursor.index),
-    _POS_AVI_RATIO: Session._ratio,
+    _POS_AVI_RATIO: lambda s: s.cursor.index / max(s.cursor.count, 1),
     _WIDTH: lambda s: float(s.cursor.fusion.shape[1]),
     _HEIGHT: lambda s: float(s.cursor.fusion.shape[0]),
     _FPS: lambda s: s.cursor.fps,
@@ -331,7 +320,8 @@ _GETTERS: dict[int, Callable[[Session], float | None]] = {
     c.CAP_PROP_PDAVIS_OUTPUT: lambda s: float(s.view.output),
     c.CAP_PROP_PDAVIS_FPS: lambda s: s.cursor.fps,
     c.CAP_PROP_PDAVIS_CAPTURE_FPS: Session._rate_of_frames,
-    c.CAP_PROP_PDAVIS_EXPOSURE_US: Session._exposure_us,
+    c.CAP_PROP_PDAVIS_EXPOSURE_US: lambda s: (
+        None if s._first is None else s._first.exposure_ms * 1000 or None),
     c.CAP_PROP_PDAVIS_START_US: lambda s: _time(s._start_us()),
     c.CAP_PROP_PDAVIS_POS_US: lambda s: _time(s.cursor.t_us),
     c.CAP_PROP_PDAVIS_GAIN: lambda s: s.view.gain,

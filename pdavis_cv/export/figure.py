@@ -5,7 +5,6 @@ import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from pdavis_cv._beside import write_beside
 from pdavis_cv._checks import MOST_SIDE, positive, some, whole_number
@@ -145,7 +144,8 @@ class _Page:
             self._text(panel.end or "1", left + bar, below + _BAR, bar * 2 / 3,
                        align="right")
             below += _BAR + _LINE
-        self._swatch(left, below)
+        self._image(hatch(10, 10), left, below + 0.7, _BAR, _BAR)
+        self._text("not valid", left + _BAR + 0.7, below, self.width - _BAR)
 
     def _wheel(self, panel: Panel, left: float, top: float) -> float:
         middle, side = left + _WHEEL + 6, top + _LINE
@@ -163,21 +163,13 @@ class _Page:
             self._text(f"DoLP {end} at the rim", left, side + _WHEEL, self.width)
         return side + _WHEEL + _LINE
 
-    def _swatch(self, left: float, top: float) -> None:
-        self._image(hatch(10, 10), left, top + 0.7, _BAR, _BAR)
-        self._text("not valid", left + _BAR + 0.7, top, self.width - _BAR)
-
-    def _axes(self, left: float, top: float, width: float, height: float) -> Any:
+    def _image(self, picture: Picture, left: float, top: float, width: float,
+               height: float) -> None:
         across, down = self.size
         axes = self.figure.add_axes(
             (left / across, 1 - (top + height) / down, width / across, height / down))
         axes.set_axis_off()
-        return axes
-
-    def _image(self, picture: Picture, left: float, top: float, width: float,
-               height: float) -> None:
-        self._axes(left, top, width, height).imshow(
-            picture[..., ::-1], interpolation="none", aspect="auto")
+        axes.imshow(picture[..., ::-1], interpolation="none", aspect="auto")
 
     def _text(self, text: str, left: float, top: float, room: float, *,
               align: str = "left") -> None:

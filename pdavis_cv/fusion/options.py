@@ -178,12 +178,24 @@ class FusionOptions(Options):
               "a TurningAnalyser (of images: analyser_steps of open_recording)")
         typed("calibration", self.calibration, Calibration | None,
               "a Calibration, as Calibration.load(path) gives")
-        _check_extinction_ratio(self.extinction_ratio)
+        ratio = self.extinction_ratio
+        if isinstance(ratio, str):
+            if ratio != "nominal":
+                raise ValueError("extinction_ratio must be 'nominal', a number or "
+                                 f"None, got {ratio!r}")
+        elif ratio is not None and not 1 < real_number(ratio) < math.inf:
+            raise ValueError(f"extinction_ratio must exceed 1, got {ratio!r}")
         if self.demosaic not in DEMOSAIC_METHODS:
             raise ValueError(
                 f"demosaic must be one of {', '.join(DEMOSAIC_METHODS)}, got "
                 f"{self.demosaic!r}")
-        put("roi", _checked_roi(self.roi))
+        if self.roi is not None:
+            try:
+                x, y, width, height = (operator.index(value) for value in self.roi)
+            except (TypeError, ValueError):
+                raise TypeError("roi must be four integers (x, y, width, height), got "
+                                f"{self.roi!r}") from None
+            put("roi", (x, y, width, height))
         put("causal", bool(self.causal))
         if not isinstance(self.threads, (int, np.integer)) or self.threads < 1:
             raise ValueError(
@@ -286,27 +298,6 @@ def check_times_fit(options: FusionOptions, info: RecordingInfo) -> None:
             raise ValueError(
                 f"{name} must be microseconds of the recording's clock, which runs "
                 f"from {info.start_us} to {info.stop_us}, got {first}")
-
-
-def _check_extinction_ratio(value: Any) -> None:
-    if value is None or (isinstance(value, str) and value == "nominal"):
-        return
-    if isinstance(value, str):
-        raise ValueError(
-            f"extinction_ratio must be 'nominal', a number or None, got {value!r}")
-    if not 1 < real_number(value) < math.inf:
-        raise ValueError(f"extinction_ratio must exceed 1, got {value!r}")
-
-
-def _checked_roi(roi: Any) -> tuple[int, int, int, int] | None:
-    if roi is None:
-        return None
-    try:
-        x, y, width, height = (operator.index(value) for value in roi)
-    except (TypeError, ValueError):
-        raise TypeError(
-            f"roi must be four integers (x, y, width, height), got {roi!r}") from None
-    return x, y, width, height
 
 
 def _checked_offset(value: Any) -> float | str | None:

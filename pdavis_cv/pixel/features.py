@@ -88,7 +88,14 @@ def further_weights(
     chosen = next(i for i in range(best + 1) if i == best or not _better(
         losses[best], losses[i]))
     if SHRINKS[chosen]:
-        model = _with(model, solved(SHRINKS[chosen], None))
+        passed, classes, rest = np.split(
+            solved(SHRINKS[chosen], None), [2, 2 + 2 * GAP_CLASSES])
+        lags, last = rest[:-4].reshape(-1, 3, 2), rest[-4:]
+        model = model.replace(
+            theta=np.maximum(passed, 0.1 * model.theta),
+            by_class=classes.reshape(2, GAP_CLASSES),
+            own=lags[:, 0], cell=lags[:, 1], near=lags[:, 2], cell_now=last[:2],
+            near_now=last[2:])
     return model.replace(noise=fitted_noise(rows, model, outsides[chosen]))
 
 
@@ -121,16 +128,3 @@ def _unseen(
         within = there(at) - middle
         total = total + (within * weight[:, None]).T @ within / 2
     return total
-
-
-def _with(model: PixelModel, weights: Floats) -> PixelModel:
-    theta, classes, rest = np.split(weights, [2, 2 + 2 * GAP_CLASSES])
-    lags = rest[:-4].reshape(-1, 3, 2)
-    last = rest[-4:]
-    return model.replace(
-        theta=np.maximum(theta, 0.1 * model.theta),
-        by_class=classes.reshape(2, GAP_CLASSES),
-        own=lags[:, 0], cell=lags[:, 1], near=lags[:, 2], cell_now=last[:2],
-        near_now=last[2:])
-
-

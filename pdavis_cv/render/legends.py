@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdavis_cv._checks import some, whole_number
 from pdavis_cv._opencv import opencv
@@ -85,7 +84,10 @@ def aop_legend(
     """
     radius = whole_number("radius", radius, 1, MOST_PIXELS // 4)
     background = whole_number("background", background, 0, 255)
-    across, up, distance = _wheel_places(radius)
+    # Pixel centres relative to the middle of the bottom edge.
+    place = np.mgrid[:radius, :2 * radius].astype(np.float64)
+    up, across = radius - 0.5 - place[0], place[1] - radius + 0.5
+    distance = np.hypot(across, up)
     picture = np.full((radius, 2 * radius, 3), background, np.uint8)
     ring = (distance <= radius) & (faded | (distance >= radius / 2))
     wheel = aop_bgr(np.arctan2(up, across), colours=colours)
@@ -93,18 +95,6 @@ def aop_legend(
         fade(wheel, distance, top=radius, ground=background)
     picture[ring] = wheel[ring]
     return picture
-
-
-def _wheel_places(
-    radius: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return pixel centres relative to the middle of the bottom edge.
-
-    They are the offsets to the right and up, and the distance.
-    """
-    place = np.mgrid[:radius, :2 * radius].astype(np.float64)
-    up, across = radius - 0.5 - place[0], place[1] - radius + 0.5
-    return across, up, np.hypot(across, up)
 
 
 def bar_legend(width: int, height: int, *, kind: str = "dolp") -> Picture:

@@ -112,9 +112,11 @@ def chart(
                 cv2.fillPoly(shade, [band], line.colour)
                 picture = cv2.addWeighted(shade, 0.35, picture, 0.65, 0)
         finite = seen & np.isfinite(v)
-        for piece in _runs(finite):
-            points = place(t[piece], v[piece])
-            cv2.polylines(picture, [points], False, line.colour, zoom, cv2.LINE_AA)
+        edges = np.flatnonzero(np.diff(finite, prepend=False, append=False))
+        for first, end in zip(edges[::2], edges[1::2], strict=True):
+            if end - first > 1:
+                points = place(t[first:end], v[first:end])
+                cv2.polylines(picture, [points], False, line.colour, zoom, cv2.LINE_AA)
         if line.dots:
             for point in place(t[finite], v[finite]):
                 cv2.circle(picture, tuple(int(c) for c in point), 2 * zoom,
@@ -129,10 +131,3 @@ def chart(
         cv2.line(picture, tuple(int(c) for c in top), tuple(int(c) for c in bottom),
                  (200, 200, 200), zoom)
     return np.asarray(picture, np.uint8)
-
-
-def _runs(flags: NDArray[np.bool_]) -> list[slice]:
-    """Return the slices of all runs of at least two True."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)
-            if b - a > 1]
