@@ -292,21 +292,16 @@ class Aedat3Recording(PiecewiseRecording):
             elif kind in _READ:
                 found = _READ[kind](data, overflow << 31)
                 if kind == POLARITY:
-                    found = self._inside(found, at)
+                    height, width = self._info.sensor_size
+                    inside = (found["x"] < width) & (found["y"] < height)
+                    self._count(at, "outside sensor", int((~inside).sum()),
+                                "events outside the sensor were dropped")
+                    found = found if inside.all() else found[inside]
                 times = found["t"].astype(np.int64)
             else:
                 continue
             if len(times):
                 yield at, kind, found, times
-
-    def _inside(self, events: NDArray[Any], at: int) -> NDArray[Any]:
-        height, width = self._info.sensor_size
-        inside = (events["x"] < width) & (events["y"] < height)
-        if inside.all():
-            return events
-        self._count(at, "outside sensor", int((~inside).sum()),
-                    "events outside the sensor were dropped")
-        return events[inside]
 
     def _frame(self, data: bytes, overflow: int, at: int) -> ApsFrame | None:
         height, width = self._info.sensor_size

@@ -215,8 +215,7 @@ def write_rosbag(path: str | os.PathLike[str], recording: Recording, *,
 
 def _put_frame(bag: Bag, frame: ApsFrame, lost: Counter[str]) -> None:
     bits = 8 if frame.full_scale_dn == EIGHT_BIT_DN else 16
-    pixels, start, end = stored_pixels(
-        frame, bits, lambda what, count: lost.update({what: count}))
+    pixels, start, end = stored_pixels(frame, bits, lost)
     mid = frame.mid_us
     if start < end:
         bag.put(EXPOSURE, "sensor_msgs/msg/TimeReference", mid, stamp_us=start,

@@ -58,8 +58,7 @@ class _EventWriter(RecordingWriter):
 
     def _write(self, packet: Packet) -> None:
         for name in {"frames", "imu", "triggers"} - self.holds:
-            if found := len(getattr(packet, name)):
-                self._lost[name] += found
+            self._lost[name] += len(getattr(packet, name))
         if any(len(getattr(packet, name)) for name in self.holds):
             self._put(packet.events, packet.triggers)
 

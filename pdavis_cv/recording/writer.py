@@ -53,7 +53,7 @@ class RecordingWriter(ABC):
     @property
     def losses(self) -> Mapping[str, int]:
         """Number of occurrences of what the format could not hold, by description."""
-        return MappingProxyType(dict(self._lost))
+        return MappingProxyType({what: n for what, n in self._lost.items() if n})
 
     @property
     def closed(self) -> bool:
@@ -115,7 +115,7 @@ class RecordingWriter(ABC):
         except BaseException:
             self.discard()
             raise
-        for what, count in self._lost.items():
+        for what, count in self.losses.items():
             _LOG.warning("%s: %d %s", self.path, count, what)
 
     def flush(self) -> None:
@@ -160,6 +160,5 @@ def source_text(info: RecordingInfo) -> str:
 def edges_of(triggers: NDArray[Any], lost: Counter[str]) -> NDArray[Any]:
     """Return the rising and falling edges among triggers; count the others as lost."""
     edges = triggers[np.isin(triggers["type"], (RISING, FALLING))]
-    if len(edges) < len(triggers):
-        lost["triggers that are not external edges"] += len(triggers) - len(edges)
+    lost["triggers that are not external edges"] += len(triggers) - len(edges)
     return edges

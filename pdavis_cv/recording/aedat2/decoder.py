@@ -128,7 +128,10 @@ class Decoder:
         while n:
             before, jumps, offset = others, clock.jumps, clock.offset
             at = min(self._start + 8 * CHUNK_WORDS * self.chunk, self._reader.size)
-            words = self._words(at)
+            words = self._block[:self._reader.read_into(
+                at, self._block.reshape(-1).data) // 8]
+            if self._dvs128:
+                as_davis(words)
             n = min(len(words), CHUNK_WORDS)    # the last is that after the chunk
             out = clock.room(memory, n)
             others = _kernels.aedat2_rows(
@@ -152,14 +155,6 @@ class Decoder:
             yield Batch(frames=self._take_frame(self._reader.size, whole=False),
                         complete_us=clock.last)
 
-    def _words(self, at: int) -> NDArray[np.uint8]:
-        """Return the next chunk, shape (N, 8), and the word after it."""
-        words = self._block[:self._reader.read_into(
-            at, self._block.reshape(-1).data) // 8]
-        if self._dvs128:
-            as_davis(words)
-        return words
-
     def _decode(self, rows: NDArray[Any], batch: Batch, at: int, *, frames: bool
                 ) -> None:
         """Put the samples of rows into a batch."""
@@ -177,8 +172,19 @@ class Decoder:
                 self._clear()
         batch.events = rows[:int(state[EVENTS])]
         if frames:
-            batch.imu, batch.triggers = self._imu_samples(), self._trigger_samples()
-        self._report(at)
+            batch.imu = self._imu_samples()
+            n = int(state[TRIGGERS])
+            batch.triggers = np.empty(n, TRIGGER_DTYPE)
+            batch.triggers["t"] = self._trigger_t[:n]
+            batch.triggers["type"] = _TRIGGER_TYPES[self._trigger[:n]]
+        self._count(at, "outside sensor", int(state[OUTSIDE]),
+                    "events and samples outside the sensor were dropped")
+        for place, kind, message in (
+                (UNKNOWN, "unknown words", "words of no known kind were skipped"),
+                (LABELLED, "labelled events", "events carry a label (v2e marks noise "
+                 "so); they are kept")):
+            if state[place]:
+                self._add(kind, at, message, count=int(state[place]), offset=at)
 
     def _until_stale(self, words: NDArray[np.uint8], n: int, at: int) -> int:
         """Return how many of n words come before a repetition of earlier words.
@@ -201,7 +207,7 @@ class Decoder:
                 return int(i)
         return n
 
-    # Frames --------------------------------------------------------------------
+    # Samples -------------------------------------------------------------------
 
     def _clear(self) -> None:
         self._frame[:] = 0
@@ -244,8 +250,6 @@ class Decoder:
         self._last_mid = frame.mid_us
         return [frame]
 
-    # The other samples ---------------------------------------------------------
-
     def _imu_samples(self) -> NDArray[Any]:
         n = int(self._state[SAMPLES])
         samples = np.empty(n, IMU_DTYPE)
@@ -258,25 +262,7 @@ class Decoder:
             [-1, 1, -1], np.float32)
         return samples
 
-    def _trigger_samples(self) -> NDArray[Any]:
-        n = int(self._state[TRIGGERS])
-        samples = np.empty(n, TRIGGER_DTYPE)
-        samples["t"] = self._trigger_t[:n]
-        samples["type"] = _TRIGGER_TYPES[self._trigger[:n]]
-        return samples
-
     # Findings ------------------------------------------------------------------
-
-    def _report(self, at: int) -> None:
-        state = self._state
-        self._count(at, "outside sensor", int(state[OUTSIDE]),
-                    "events and samples outside the sensor were dropped")
-        for place, kind, message in (
-                (UNKNOWN, "unknown words", "words of no known kind were skipped"),
-                (LABELLED, "labelled events", "events carry a label (v2e marks noise "
-                 "so); they are kept")):
-            if state[place]:
-                self._add(kind, at, message, count=int(state[place]), offset=at)
 
     def _add(self, kind: str, key: int, message: str, *, count: int = 1,
              offset: int) -> None:

@@ -86,10 +86,16 @@ class Aedat2Recording(PiecewiseRecording):
         if clock is None and SOURCE not in header.facts:    # a copy is made later
             clock = header.creation_ms
         serial = _SERIAL.search(self.path.stem)
+        said = " ".join(f"{key} {value}" for key, value in header.facts.items()).lower()
+        # Bit 31 set: not an event.  Bits 10 and 11 both set: IMU.  If a camera sent
+        # frames, they are at least a fifth of its words.
+        has_frames = any(np.any((address & 0x80000800) == 0x80000000)
+                         for address in self._probed())
         return RecordingInfo(
-            format="AEDAT-2.0", writer=_writer(header.facts),
+            format="AEDAT-2.0", writer=next((name for name in (
+                "pdavis_cv", "v2e", "jAER") if name.lower() in said), None),
             camera=header.chip, serial=serial[1] if serial else None, start_us=start,
-            frame_count=None if self._has_frames() else 0, **stated(
+            frame_count=None if has_frames else 0, **stated(
                 options, header.facts.get(SOURCE), sensor_size=self._size_fact,
                 sensor=Sensor.of_chip(header.chip), frame_times="time stamps",
                 exposure_us=header.number("APS.Exposure") or None, full_scale_dn=1023,
@@ -101,19 +107,8 @@ class Aedat2Recording(PiecewiseRecording):
                     "data_start": header.data_start,
                     "preferences": dict(header.preferences), **header.facts})
 
-    def _has_frames(self) -> bool:
-        """Return whether the file holds samples of frames.
-
-        A file of up to 64 MiB is searched completely, a larger one at 1024 evenly
-        spaced positions: if a camera sent frames, they are at least a fifth of its
-        words.
-        """
-        # Bit 31 set: not an event.  Bits 10 and 11 both set: IMU.
-        return any(np.any((address & 0x80000800) == 0x80000000)
-                   for address in self._probed())
-
     def _probed(self) -> Iterator[NDArray[np.uint32]]:
-        """Yield the addresses of a file; of one over 64 MiB, at 1024 places."""
+        """Yield a file's addresses; of one over 64 MiB, at 1024 even places."""
         left = self.word_count
         step = max(PROBE_WORDS, left // MOST_PROBES)
         for at in range(0, left, step):
@@ -151,9 +146,3 @@ class Aedat2Recording(PiecewiseRecording):
     def word_count(self) -> int:
         """Number of words in the file, of any kind."""
         return max(self._reader.size - self._header.data_start, 0) // 8
-
-
-def _writer(facts: dict[str, str]) -> str | None:
-    text = " ".join(f"{key} {value}" for key, value in facts.items()).lower()
-    return next((name for name in ("pdavis_cv", "v2e", "jAER") if name.lower() in text),
-                None)

@@ -89,18 +89,15 @@ class Aedat2Writer(RecordingWriter):
         if self._count > FLUSH_WORDS and packet.stop_us is not None:
             self._flush(packet.stop_us - HOLD_US)
 
-    def _put(self, times: NDArray[np.int64], words: NDArray[np.uint8]) -> None:
-        if len(times):
-            self._waiting.append((times, words))
-        self._count += len(times)
-
     def _put_words(
         self, times: NDArray[np.int64], addresses: NDArray[np.uint32]
     ) -> None:
         words = np.empty((len(times), 2), ">u4")
         words[:, 0] = addresses
         words[:, 1] = ((times - self._origin) & 0xFFFFFFFF).astype(np.uint32)
-        self._put(times, words.view(np.uint8))
+        if len(times):
+            self._waiting.append((times, words.view(np.uint8)))
+        self._count += len(times)
 
     def _put_events(self, events: NDArray[Any]) -> None:
         height, width = self.sensor_size        # row 0 is the highest y, x is mirrored
@@ -142,9 +139,8 @@ class Aedat2Writer(RecordingWriter):
                         (base | np.uint32(0x400) | signal.T).ravel())
         self._frame_end_us = int(second.max())
 
-    def _reads(
-        self, frame: ApsFrame
-    ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    def _reads(self, frame: ApsFrame
+               ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
         if frame.reset is not None and frame.signal is not None and (
                 int(frame.reset.max()) <= 1023 and int(frame.signal.max()) <= 1023):
             return frame.reset.astype(np.uint32), frame.signal.astype(np.uint32)
@@ -152,10 +148,8 @@ class Aedat2Writer(RecordingWriter):
         valid = (np.ones(frame.shape, np.bool_) if frame.valid is None
                  else frame.valid)
         low, high = np.where(valid, -639, -1023), np.where(valid, 1020, 1023)
-        outside = int(np.count_nonzero((dn < low) | (dn > high)))
-        if outside:
-            self._lost["pixels outside the range of the converter were clipped"] += (
-                outside)
+        self._lost["pixels outside the range of the converter were clipped"] += int(
+            np.count_nonzero((dn < low) | (dn > high)))
         dn = np.clip(dn, low, high)
         # A signal of 0 or a reset below 384 decodes as invalid.
         reset = np.where(valid, 1023 + np.minimum(dn, 0), np.maximum(dn, 0))
@@ -167,10 +161,8 @@ class Aedat2Writer(RecordingWriter):
         values[:, 3] = (samples["temperature"] - 35) * 340
         values[:, 4:] = samples["gyro"] / GYRO_DEG_S
         raw = np.rint(values * _IMU_SIGNS)
-        outside = int(np.count_nonzero((raw < -32768) | (raw > 32767)))
-        if outside:
-            self._lost["IMU values beyond 8 g or 1000 degrees per second were "
-                       "clipped"] += outside
+        self._lost["IMU values beyond 8 g or 1000 degrees per second were clipped"] += (
+            int(np.count_nonzero((raw < -32768) | (raw > 32767))))
         raw = np.clip(raw, -32768, 32767).astype(np.int64)
         code = np.arange(7)
         addresses = (0x80000C00 | code << 28 | (raw & 0xFFFF) << 12).astype(np.uint32)
@@ -178,9 +170,8 @@ class Aedat2Writer(RecordingWriter):
 
     def _put_triggers(self, samples: NDArray[Any]) -> None:
         known = np.isin(samples["type"], list(_TRIGGER_CODES))
-        lost = int(np.count_nonzero(~known))
-        if lost:
-            self._lost["triggers that are not external edges or pulses"] += lost
+        self._lost["triggers that are not external edges or pulses"] += int(
+            np.count_nonzero(~known))
         samples = samples[known]
         codes = [0x400 + _TRIGGER_CODES[kind] for kind in samples["type"].tolist()]
         self._put_words(samples["t"].astype(np.int64), np.array(codes, np.uint32))
@@ -236,9 +227,7 @@ class Aedat2Writer(RecordingWriter):
         return "".join(f"#{line}\r\n" for line in lines).encode("latin-1", "replace")
 
 
-def write_aedat2(
-    path: str | os.PathLike[str], recording: Source
-) -> Mapping[str, int]:
+def write_aedat2(path: str | os.PathLike[str], recording: Source) -> Mapping[str, int]:
     """Write a recording as AEDAT-2.0.
 
     Parameters

@@ -4,6 +4,7 @@ from __future__ import annotations
 import os
 import struct
 from array import array
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from html import escape
 from typing import Any
@@ -104,7 +105,9 @@ class Aedat4Writer(RecordingWriter):
             self._put(EVENTS, _events(packet.events), len(packet.events),
                       int(packet.events["t"][0]), int(packet.events["t"][-1]))
         for frame in packet.frames:
-            self._put(FRAMES, _frame(frame, self._frame_bits(frame), self._note), 1,
+            if self._bits is None:      # the first frame determines it
+                self._bits = 8 if frame.full_scale_dn == EIGHT_BIT_DN else 16
+            self._put(FRAMES, _frame(frame, self._bits, self._lost), 1,
                       frame.mid_us, frame.mid_us)
         if len(packet.imu):
             self._put(IMU, _imu(packet.imu), len(packet.imu),
@@ -119,16 +122,6 @@ class Aedat4Writer(RecordingWriter):
         self._file.write(struct.pack("<ii", stream, len(data)))
         self._index.extend((self._file.tell(), stream, len(data), count, start, stop))
         self._file.write(data)
-
-    def _frame_bits(self, frame: ApsFrame) -> int:
-        """Return the number of bits of frames, which the first one determines."""
-        if self._bits is None:
-            self._bits = 8 if frame.full_scale_dn == EIGHT_BIT_DN else 16
-        return self._bits
-
-    def _note(self, what: str, count: int) -> None:
-        if count:
-            self._lost[what] += count
 
     def _finish(self) -> None:
         position = self._file.tell()
@@ -174,7 +167,8 @@ class StreamEncoder:
         if self._stream == EVENTS and len(packet.events):
             payloads.append(_events(packet.events))
         elif self._stream == FRAMES:
-            payloads += [_frame(frame, 16, _unnoted) for frame in packet.frames]
+            # A network stream does not report what it cannot hold.
+            payloads += [_frame(frame, 16, Counter()) for frame in packet.frames]
         elif self._stream == IMU and len(packet.imu):
             payloads.append(_imu(packet.imu))
         elif self._stream == TRIGGERS and len(packet.triggers):
@@ -182,10 +176,6 @@ class StreamEncoder:
         for payload in payloads:
             data = self._compress(payload)
             yield struct.pack("<ii", self._stream, len(data)) + data
-
-
-def _unnoted(what: str, count: int) -> None:
-    """Do nothing: a network stream does not report what it cannot hold."""
 
 
 def write_aedat4(
@@ -224,7 +214,7 @@ def _compressor(name: str) -> Callable[[Any], bytes]:
     if name == "none":
         return lambda data: bytes(memoryview(data))
     if name == "lz4":
-        return _lz4
+        return lambda data: bytes(lz4.frame.compress(data, store_size=False))
     try:
         import zstandard
     except ImportError:
@@ -232,10 +222,6 @@ def _compressor(name: str) -> Callable[[Any], bytes]:
             "zstd needs a package: pip install zstandard") from None
     compressor = zstandard.ZstdCompressor(level=3)
     return lambda data: bytes(compressor.compress(memoryview(data).cast("B")))
-
-
-def _lz4(data: Any) -> bytes:
-    return bytes(lz4.frame.compress(data, store_size=False))
 
 
 def _events(events: NDArray[Any]) -> NDArray[Any]:
@@ -247,9 +233,8 @@ def _events(events: NDArray[Any]) -> NDArray[Any]:
     return out
 
 
-def stored_pixels(
-    frame: ApsFrame, bits: int, note: Callable[[str, int], None]
-) -> tuple[NDArray[Any], int, int]:
+def stored_pixels(frame: ApsFrame, bits: int, lost: Counter[str]
+                  ) -> tuple[NDArray[Any], int, int]:
     """Return a frame's image as it is stored, and one time of its exposure for all.
 
     Parameters
@@ -257,8 +242,8 @@ def stored_pixels(
     frame : ApsFrame
     bits : {8, 16}
         Of 8, a step is 4 DN.
-    note : callable
-        Called with what cannot be held, and its number, which may be 0.
+    lost : Counter of str
+        What cannot be held is added to it; a number may be 0.
 
     Returns
     -------
@@ -268,19 +253,19 @@ def stored_pixels(
     """
     step, most = (4, 255) if bits == 8 else (1, 65_535)
     values = np.rint(frame.dn / np.float32(step))
-    low = int(np.count_nonzero(values < 0))
-    high = int(np.count_nonzero(values > most))
-    note("pixels with negative DN were stored as 0", low)
-    note("pixels above the full scale were clipped", high)
+    lost["pixels with negative DN were stored as 0"] += int(
+        np.count_nonzero(values < 0))
+    lost["pixels above the full scale were clipped"] += int(
+        np.count_nonzero(values > most))
     clipped = np.clip(values, 0, most)
     if frame.valid is not None:
         shown = clipped < (255 if bits == 8 else frame.full_scale_dn)
-        note("invalid pixels are not marked as such in the file",
-                   int(np.count_nonzero(~frame.valid & shown)))
+        lost["invalid pixels are not marked as such in the file"] += int(
+            np.count_nonzero(~frame.valid & shown))
     starts, ends = (np.asarray(t) for t in (
         frame.exposure_start_us, frame.exposure_end_us))
     if starts.ndim or ends.ndim:
-        note("frames with exposure times per column keep their mean", 1)
+        lost["frames with exposure times per column keep their mean"] += 1
     half = int((ends - starts).mean() / 2)
     start, end = frame.mid_us - half, frame.mid_us + half
     if not starts.ndim and not ends.ndim:
@@ -288,11 +273,9 @@ def stored_pixels(
     return clipped.astype("u1" if bits == 8 else "<u2"), start, end
 
 
-def _frame(
-    frame: ApsFrame, bits: int, note: Callable[[str, int], None]
-) -> bytes:
-    """Return the FlatBuffer of a frame; report what it cannot hold to `note`."""
-    image, start, end = stored_pixels(frame, bits, note)
+def _frame(frame: ApsFrame, bits: int, lost: Counter[str]) -> bytes:
+    """Return the FlatBuffer of a frame; add what it cannot hold to `lost`."""
+    image, start, end = stored_pixels(frame, bits, lost)
     pixels = image.tobytes()
     starts = np.asarray(frame.exposure_start_us)
     height, width = frame.shape

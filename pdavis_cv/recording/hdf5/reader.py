@@ -12,7 +12,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -209,7 +209,13 @@ class Hdf5Recording(PiecewiseRecording):
                 f"{self._path}: no /events of E2P (N, 4), DSEC (t, x, y, p) or "
                 "rpg (ts, xs, ys, ps), no /CD/events of Metavision; it "
                 f"holds {', '.join(self._file) or 'nothing'}")
-        self._length = self._common_length(parts)
+        lengths = [len(part) for part in parts]
+        if len(set(lengths)) > 1:
+            said = ", ".join(f"{part.name} {length}" for part, length in zip(
+                parts, lengths, strict=True))
+            raise RecordingError(
+                f"{self._path}: columns of events must have one length, got {said}")
+        self._length = lengths[0]
         self._piece = min((part.chunks or (CHUNK,))[0] for part in parts)
         unit = _us_per_unit(self._first(read)[0]) if kind == "f" else 1.0
         stated = self._member(self._file, "t_offset")
@@ -221,16 +227,6 @@ class Hdf5Recording(PiecewiseRecording):
             return microseconds(t, unit) + offset, x, y, p
 
         return columns
-
-    def _common_length(self, columns: Sequence[Any]) -> int:
-        """Return the length of the columns t, x, y, p; raise if they differ."""
-        lengths = [len(column) for column in columns]
-        if len(set(lengths)) > 1:
-            names = ", ".join(f"{column.name} {length}" for column, length in zip(
-                columns, lengths, strict=True))
-            raise RecordingError(
-                f"{self._path}: columns of events must have one length, got {names}")
-        return lengths[0]
 
     def _first(self, read: Callable[[slice], Columns]) -> Columns:
         """Return the columns of the readable ones of the first events."""
