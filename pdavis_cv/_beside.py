@@ -129,9 +129,7 @@ class Unfinished:
     writer that needs a suffix of the part gives it; by default it is that of `path`.
     """
 
-    def __init__(
-        self, path: str | os.PathLike[str], suffix: str | None = None
-    ) -> None:
+    def __init__(self, path: str | os.PathLike[str], suffix: str | None = None) -> None:
         self.path = Path(path)
         self._place = Place(path)
         beside = self._place.beside

@@ -100,8 +100,7 @@ def fitting(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[A
     try:
         return np.broadcast_to(array, shape)
     except ValueError:
-        raise ValueError(
-            f"{name} must have shape {shape}, got {array.shape}") from None
+        raise ValueError(f"{name} must have shape {shape}, got {array.shape}") from None
 
 
 def real_number(value: object) -> float:

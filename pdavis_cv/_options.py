@@ -82,8 +82,7 @@ class Options:
 
     def __reduce__(self) -> tuple[Any, ...]:
         values = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
-        return _restored, (
-            type(self), {**values, "parameters": dict(self.parameters)})
+        return _restored, (type(self), {**values, "parameters": dict(self.parameters)})
 
 
 def _restored(kind: type[Options], values: dict[str, Any]) -> Options:

@@ -129,9 +129,7 @@ def clip_level(dn: NDArray[Any], full_scale_dn: int = 1023) -> float | None:
     return pile_up(dn, full_scale_dn)[1]
 
 
-def pile_up(
-    dn: NDArray[Any], full_scale_dn: int
-) -> tuple[int | None, float | None]:
+def pile_up(dn: NDArray[Any], full_scale_dn: int) -> tuple[int | None, float | None]:
     """Return the brightest value, and the lower edge of the peak; see `clip_level`.
 
     The brightest 1 in 10,000 pixels are left out, as they may be hot.  None if the

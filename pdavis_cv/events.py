@@ -166,8 +166,7 @@ def accumulate(
     """
     events, size = as_events(events), sensor_shape(shape)
     bounds = np.iinfo(np.int64)
-    start = int(bounds.min) if start_us is None else checked_time(
-        "start_us", start_us)
+    start = int(bounds.min) if start_us is None else checked_time("start_us", start_us)
     stop = int(bounds.max) if stop_us is None else checked_time("stop_us", stop_us)
     counts = output(out, (2, *size), np.int32, events)
     counts.fill(0)

@@ -245,9 +245,7 @@ def _eroded(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.ascontiguousarray(_and_beside(_and_beside(valid).T).T)
 
 
-def filled_samples(
-    mosaic: Image, valid: NDArray[np.bool_]
-) -> NDArray[np.float32]:
+def filled_samples(mosaic: Image, valid: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Replace each unusable sample by the mean of the usable ones two pixels away.
 
     These belong to the same channel.  If there are none, the sample is kept, or 0 if it
@@ -274,8 +272,7 @@ def checked_mosaic(mosaic: Image) -> Image:
     """Return mosaic, C-contiguous and aligned, after checking its dtype and sides."""
     typed("mosaic", mosaic, np.ndarray, "an ndarray")
     if mosaic.dtype not in PIXEL_DTYPES:
-        raise TypeError(
-            f"mosaic must be uint8, uint16 or float32, got {mosaic.dtype}")
+        raise TypeError(f"mosaic must be uint8, uint16 or float32, got {mosaic.dtype}")
     if mosaic.ndim != 2:
         raise ValueError(f"mosaic must be (H, W), got shape {mosaic.shape}")
     return np.require(mosaic, None, ("C", "A"))

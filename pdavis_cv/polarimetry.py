@@ -94,8 +94,7 @@ class PolarFrame(Advises):
     _origin: PolarFrame | None
     _aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None
     _sigmas: _Sigmas | NDArray[np.float32] | Callable[[], NDArray[np.float32]] | None
-    _stokes: tuple[
-        NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]] | None
+    _stokes: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]] | None
     _usable: NDArray[np.bool_] | None
     _valid: NDArray[np.bool_] | None
     _variance: NDArray[np.float32] | None
@@ -375,8 +374,7 @@ def adopted(
                                ("valid", about.get("valid"), np.bool_),
                                ("variance", about.get("variance"), np.float32),
                                ("quality", about.get("quality"), np.float32)):
-        if array is not None and (array.dtype != dtype
-                                  or not array.flags.c_contiguous):
+        if array is not None and (array.dtype != dtype or not array.flags.c_contiguous):
             raise TypeError(
                 f"{name} must be C-contiguous {np.dtype(dtype)} to be adopted, "
                 f"got {array.dtype} with strides {array.strides}")

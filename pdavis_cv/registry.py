@@ -116,8 +116,7 @@ class Registry(Mapping[str, T]):
 def _entry_points(group: str, path: tuple[str, ...]) -> dict[str, EntryPoint]:
     """Return the entry points of a group by name; of two of a name, the first."""
     from importlib.metadata import entry_points
-    return {point.name: point for point in reversed(tuple(entry_points(
-        group=group)))}
+    return {point.name: point for point in reversed(tuple(entry_points(group=group)))}
 
 
 def loaded(what: Any) -> Any:

@@ -232,8 +232,7 @@ def propagated(
         var_dolp = np.maximum(var_dolp - with_dolp**2 / along, 0)
         sigma_aop = np.fmin(np.sqrt(var_aop), UNIFORM_SIGMA_RAD)
         sigma_dolp = np.sqrt(np.where(square > 0, var_dolp, var_dark))
-        across = np.sqrt(np.where(
-            square > 0, 4 * square / s0**2 * var_aop, var_dark))
+        across = np.sqrt(np.where(square > 0, 4 * square / s0**2 * var_aop, var_dark))
     for sigma in (sigma_dolp, across):
         sigma[~(s0 > 0)] = np.inf
     return (frozen(sigma_aop.astype(np.float32)),

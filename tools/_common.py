@@ -222,8 +222,7 @@ def require_samples(recording: Recording, start_us: int | None) -> None:
     if start_us is None or next(recording.packets(), None) is None:
         raise UsageError(f"{name}: holds no frame and no event")
     after = (start_us - start_of(recording)) / 1e6
-    raise UsageError(
-        f"{name}: no image at {after:g} s or later: {covered(recording)}")
+    raise UsageError(f"{name}: no image at {after:g} s or later: {covered(recording)}")
 
 
 def covered(recording: Recording) -> str:

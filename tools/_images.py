@@ -73,8 +73,7 @@ def tone_of(
         return render.ToneCurve.of(
             [shown.of(image) for image in usable],
             [image.valid for image in usable], saturated=top and top / 2)
-    if top is None or not any((shown.of(image) >= top / 2).any()
-                              for image in images):
+    if top is None or not any((shown.of(image) >= top / 2).any() for image in images):
         method = str(images[0].provenance["method"])
         raise UsageError(
             "no image has a valid pixel: "

@@ -22,9 +22,7 @@ if TYPE_CHECKING:  # `command` must handle an interrupt while NumPy is imported
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
-def opened(
-    args: argparse.Namespace, file: AnySource | None = None
-) -> Recording:
+def opened(args: argparse.Namespace, file: AnySource | None = None) -> Recording:
     """Open a recording, ``args.file`` by default, according to a command's options.
 
     A live source is first recorded to a temporary file until it ends, as commands may
@@ -38,9 +36,7 @@ def opened(
     return recorded(source)
 
 
-def source_of(
-    args: argparse.Namespace, file: AnySource | None = None
-) -> Source:
+def source_of(args: argparse.Namespace, file: AnySource | None = None) -> Source:
     """Open a recording, as `opened`, or a live source as it is."""
     from pdavis_cv import open_source
     where = args.file if file is None else file
@@ -85,9 +81,7 @@ def together(files: Sequence[str]) -> str | list[str]:
     return files[0] if len(files) == 1 else natural_order(files)
 
 
-def add_file(
-    parser: argparse.ArgumentParser, help: str, name: str = "file"
-) -> None:
+def add_file(parser: argparse.ArgumentParser, help: str, name: str = "file") -> None:
     """Add the recording that a command reads, which may be several images."""
     parser.add_argument(name, nargs="+", action=_Source, metavar=name,
                         help=f"{help}; several images are one recording")

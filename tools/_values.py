@@ -58,8 +58,7 @@ def within(low: int, high: int) -> Callable[[str], int]:
     def parse(text: str) -> int:
         value = whole(text)
         if not low <= value <= high:
-            raise argparse.ArgumentTypeError(
-                f"must lie in {low}..{high}, got {text}")
+            raise argparse.ArgumentTypeError(f"must lie in {low}..{high}, got {text}")
         return value
 
     return parse
@@ -69,8 +68,7 @@ def since_start(text: str) -> float:
     """Parse a time in seconds after the start of a recording."""
     value = seconds(text)
     if value < 0:
-        raise argparse.ArgumentTypeError(
-            f"must not be negative, got {text}")
+        raise argparse.ArgumentTypeError(f"must not be negative, got {text}")
     return value
 
 

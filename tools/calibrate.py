@@ -70,8 +70,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             print(f"wrote {path}: {', '.join(known.parts)}")
         done.append(part)
     if known is None or not done:
-        raise UsageError(
-            "all needs a recording for at least one part (see --help)")
+        raise UsageError("all needs a recording for at least one part (see --help)")
     tell(args, (), wrote=[path], holds=known.parts,
          measured={part: known.notes[part] for part in done})
     return 0
@@ -90,6 +89,8 @@ def _measure(
         for recording in recordings:
             known.check_fits(recording.info.sensor_size, recording.info.serial)
         values, page = _PARTS[part](recordings, args, known)
+        if known.usable is not None and "usable" in values:
+            values["usable"] = values["usable"] & known.usable
     finally:
         for recording in recordings:
             recording.close()
@@ -117,7 +118,6 @@ def _dark(
     recordings: list[Recording], args: argparse.Namespace, known: Calibration
 ) -> Found:
     found = dark_frame(recordings[0])
-    usable = found.usable if known.usable is None else found.usable & known.usable
     page = Page("Dark frame")
     page.say("frames", found.frames)
     page.say("median dark", f"{np.median(found.dark):.2f} DN")
@@ -131,14 +131,13 @@ def _dark(
     page.image("dark offset (DN)", found.dark)
     page.image("noise (DN)", found.noise)
     page.histogram("dark offset (DN)", found.dark)
-    return {"dark": found.dark, "dark_noise": found.noise, "usable": usable}, page
+    return {"dark": found.dark, "dark_noise": found.noise, "usable": found.usable}, page
 
 
 def _flat(
     recordings: list[Recording], args: argparse.Namespace, known: Calibration
 ) -> Found:
     found = flat_frame(recordings[0], known.dark)
-    usable = found.usable if known.usable is None else found.usable & known.usable
     page = Page("Flat frame")
     page.say("frames", found.frames)
     page.say("gain spread", f"{100 * np.std(found.gain[found.usable]):.2f} % rms")
@@ -147,7 +146,7 @@ def _flat(
         page.say("note", "no dark frame was subtracted: measure dark first")
     page.image("gain", found.gain)
     page.histogram("gain", found.gain)
-    return {"gain": found.gain, "usable": usable}, page
+    return {"gain": found.gain, "usable": found.usable}, page
 
 
 def _clip(
@@ -203,8 +202,7 @@ def _sweep(
     page.image("extinction ratio", fit.extinction_ratio)
     page.image("response to S0", fit.analyser[..., 0])
     page.histogram("extinction ratio", fit.extinction_ratio)
-    usable = fit.usable if known.usable is None else fit.usable & known.usable
-    return {"analyser": fit.analyser, "usable": usable, "layout": layout}, page
+    return {"analyser": fit.analyser, "usable": fit.usable, "layout": layout}, page
 
 
 def _steps(recording: Recording, args: argparse.Namespace) -> Any:

@@ -126,8 +126,7 @@ def _aop_events(args: argparse.Namespace, suffix: str) -> int:
             f"-o of AoP events must end in {', '.join(SUFFIXES)}, got {args.out}")
     checked_out(args.out, args.file)
     with opened(args) as recording:
-        lines, facts = export_aop_events(
-            args, recording, fuse_options(args, recording))
+        lines, facts = export_aop_events(args, recording, fuse_options(args, recording))
     tell(args, lines, **facts)
     return 0
 
@@ -377,8 +376,7 @@ class Sheet:
             colours="hsv" if self.args.aop == "hsv" else "even")
         if self.args.aop != "full":
             low, high = self.fading
-            render.fade_aop(
-                picture, frame, low=low, top=high, ground=self.style.ground)
+            render.fade_aop(picture, frame, low=low, top=high, ground=self.style.ground)
         picture[frame.valid & ~good] = render.MASKED
         return picture
 
@@ -427,9 +425,7 @@ def _white(frame: PolarFrame, top: float | None) -> float:
     return math.ceil(bright / digit) * digit
 
 
-def _playing_rate(
-    first: Sequence[PolarFrame], fps: float | None, slow: float
-) -> float:
+def _playing_rate(first: Sequence[PolarFrame], fps: float | None, slow: float) -> float:
     times = [frame.t_us for frame in first if frame.t_us is not None]
     if fps is None:
         fps = 1e6 / (times[1] - times[0]) if len(times) == 2 else 25.0

@@ -92,8 +92,7 @@ def _parser() -> argparse.ArgumentParser:
     add_file(parser, "a recording")
     add_source_options(parser)
     parser.add_argument("--json", action="store_true", help="for programs")
-    parser.add_argument(
-        "--scan", action="store_true", help="read and count all data")
+    parser.add_argument("--scan", action="store_true", help="read and count all data")
     return parser
 
 

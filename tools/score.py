@@ -137,8 +137,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         checked_out(args.out)
     calibration = None if args.calibration is None else calibration_of(args.calibration)
     with opened(args) as recording:
-        halves = both_halves(
-            recording, start_of(recording) + round(args.seconds * 1e6))
+        halves = both_halves(recording, start_of(recording) + round(args.seconds * 1e6))
         camera = Fusion(halves[0].kept, calibration=calibration).camera
         told = {name: float(np.median(value)) for name in camera.parts
                 if name not in ("layout", "model") for value in (
@@ -283,9 +282,7 @@ def _advice(rows: Sequence[Row], file: str, *, polarized: bool) -> list[str]:
         score = row.by_class["moving"]
         lines.append(f"{title}: {row.name} suits it best ({score.rmse:.3f} where "
                      "pixels move)")
-        if row.trial:
-            lines.append(
-                f"  pdavis export {file} -o fused.mp4 {_options(row, row.trial)}")
+        lines += _command(row, file)
         if math.isfinite(score.coverage) and not 0.55 <= score.coverage <= 0.8:
             lines.append(
                 f"  its sigmas are too {'small' if score.coverage < 0.68 else 'large'}:"
@@ -294,15 +291,16 @@ def _advice(rows: Sequence[Row], file: str, *, polarized: bool) -> list[str]:
             row = suited_for_polarization(rows, causal=causal)
             lines.append(f"{title}, for polarization: {row.name} is least off in the "
                          f"ratios of a cell ({row.by_class[_CELLS].rmse:.3f})")
-            if row.trial:
-                lines.append(
-                    f"  pdavis export {file} -o fused.mp4 {_options(row, row.trial)}")
+            lines += _command(row, file)
     return lines
 
 
-def _options(row: Row, trial: Trial) -> str:
+def _command(row: Row, file: str) -> list[str]:
+    """Return the line that makes images with a method, if `fuse` does."""
+    if row.trial is None:
+        return []
     words = []
-    for name, value in trial.options.items():
+    for name, value in row.trial.options.items():
         words.append(f"--method {value}" if name == "method"
                      else "--causal" if name == "causal" else f"--set {name}={value}")
     if row.source == "calibration":
@@ -311,7 +309,7 @@ def _options(row: Row, trial: Trial) -> str:
         words.append(f"--thresholds {row.source}")
     elif row.thresholds is not None:
         words.append("--thresholds {:.3f},{:.3f}".format(*row.thresholds))
-    return " ".join(words)
+    return [f"  pdavis export {file} -o fused.mp4 {' '.join(words)}"]
 
 
 def _table(halves: Sequence[LeftOutFrames], rows: Sequence[Row]) -> list[str]:

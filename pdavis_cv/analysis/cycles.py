@@ -269,8 +269,7 @@ class _Step:
         """Return the law of the lowest order that explains the signals."""
         from scipy.optimize import least_squares
         self._harmonics = self._seen(PhaseLaw(self._reference, self._span, start))
-        sd = np.maximum(self._noise(start),
-                        1e-9 * np.abs(self._values).max(0) + 1e-30)
+        sd = np.maximum(self._noise(start), 1e-9 * np.abs(self._values).max(0) + 1e-30)
 
         def rest(coefficients: FloatArray) -> FloatArray:
             return np.asarray((self._rest(coefficients) / sd).ravel())

@@ -121,8 +121,7 @@ class Wheel:
         nearest = np.rint(place)
         inside = ((r >= self.hub) & (r <= self.radius)
                   & (np.abs(place - nearest) <= 0.5 - self.margin))
-        return np.where(
-            inside, np.mod(nearest, self.sectors), -1).astype(np.int8)
+        return np.where(inside, np.mod(nearest, self.sectors), -1).astype(np.int8)
 
     def measure(self, frame: PolarFrame) -> NDArray[Any]:
         """Return the statistics of each sector in one image.

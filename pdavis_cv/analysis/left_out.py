@@ -226,9 +226,7 @@ class LeftOutFrames:
                 float(within / stated))
                 for kind, (n, squares, total, within, stated) in sums.items())
 
-    def averaged(
-        self, estimates: Iterable[Estimate],
-    ) -> Iterator[Estimate]:
+    def averaged(self, estimates: Iterable[Estimate]) -> Iterator[Estimate]:
         """Average estimates over each exposure.
 
         Parameters
@@ -253,18 +251,14 @@ class LeftOutFrames:
                 log, np.mean(squares, axis=0) if len(squares) == len(seen) else None,
                 np.logical_and.reduce([each.valid for each in seen]))
 
-    def images(
-        self, i: int,
-    ) -> tuple[FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+    def images(self, i: int) -> tuple[FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """Return a left-out frame's log intensity, and its usable and moving pixels."""
         classes = self._classes[i]
         counts = np.logical_or.reduce(list(classes.values()))
         return _log(self._places[i].frame), counts, classes["moving"]
 
 
-def pooled(
-    scores: Iterable[Sequence[PredictionScore]],
-) -> tuple[PredictionScore, ...]:
+def pooled(scores: Iterable[Sequence[PredictionScore]]) -> tuple[PredictionScore, ...]:
     """Join the scores of several sets of frames, as if they had been one.
 
     Parameters

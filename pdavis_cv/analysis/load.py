@@ -128,8 +128,7 @@ def read_load(path: str | Path) -> LoadTrace:
                 for number, line in lines]
     except csv.Error as error:
         raise ValueError(f"{path}: not a table, {error}") from None
-    first = next((i for i, (_, row) in enumerate(rows)
-                  if _classify(row)), None)
+    first = next((i for i, (_, row) in enumerate(rows) if _classify(row)), None)
     if first is None:
         names = "; ".join(f"{kind}: {', '.join(_WORDS[kind])} ({_SPELLED[kind]})"
                           for kind in ("time", "force", "displacement"))
@@ -195,25 +194,20 @@ def _classify(row: list[str]) -> dict[str, int]:
             if kind not in kinds and re.match(rf"\W*({starts})", name):
                 kinds[kind] = i
                 break
-    return kinds if "time" in kinds and ("force" in kinds or "displacement" in kinds
-                                         ) else {}
+    return kinds if "time" in kinds and kinds.keys() & {"force", "displacement"} else {}
 
 
 def _scale(path: Path, kind: str, name: str, below: str) -> float:
     bracketed = re.search(r"[(\[]\s*([^)\]]*?)\s*[)\]]", name)
     suffix = re.search(r"_([A-Za-z\u00b5\u03bc]+)$", name)
-    unit = (bracketed.group(1) if bracketed else
-            suffix.group(1) if suffix else below)
-    key = unit if unit == "mN" else unit.lower()
-    if unit == "MN":
-        key = "MN"
+    unit = bracketed.group(1) if bracketed else suffix.group(1) if suffix else below
     known = _UNITS[kind]
-    if key.lower() not in known or key == "MN":
+    if unit.lower() not in known or unit == "MN":
         said = f"got {unit!r}" if unit else "the header names none"
         raise ValueError(
             f"{path}: column {name!r}: the unit must be one of {_SPELLED[kind]}, "
             f"{said}")
-    return known[key.lower()]
+    return known[unit.lower()]
 
 
 def _number(cell: str, decimal_comma: bool) -> float | None:

@@ -96,9 +96,7 @@ def birefringence(
         2 * np.pi * thickness_um)
 
 
-def subtract_background(
-    stokes: ArrayLike, background: ArrayLike
-) -> FloatArray:
+def subtract_background(stokes: ArrayLike, background: ArrayLike) -> FloatArray:
     """Remove the linear polarization that is there without a sample.
 
     The normalised S1/S0 and S2/S0 of the background are subtracted, which holds

@@ -134,8 +134,7 @@ def fit_periodic(
                 f"no periodic light stands out at {law.hz:.4g} Hz (amplitude "
                 f"{wave.amplitude[0]:.2g} +- {wave.amplitude_se:.2g})")
         else:
-            reasons.append(
-                _unsteady(law, t_us, one, exposure_us, wave, quantity))
+            reasons.append(_unsteady(law, t_us, one, exposure_us, wave, quantity))
     doubt = ""
     for name, multiple in (("third", 4 * law.hz), ("second", 3 * law.hz)):
         if abs(multiple - rate * round(multiple / rate)) * seconds < 1:

@@ -239,8 +239,7 @@ def read_rois(path: str | Path) -> list[Roi]:
         import roifile
     except ImportError:
         raise ImportError(
-            "reading Fiji regions needs roifile: pip install roifile"
-        ) from None
+            "reading Fiji regions needs roifile: pip install roifile") from None
     path = Path(path)
     with path.open("rb") as file:
         magic = file.read(4)

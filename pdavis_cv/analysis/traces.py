@@ -209,8 +209,7 @@ class TraceRecorder:
                 f"frame must have the first one's shape {self._shape}, got "
                 f"{frame.valid.shape}")
         rows = []
-        for place in self._places:
-            top, left, mask = place
+        for top, left, mask in self._places:
             stokes = np.stack([plane[top, left][mask] for plane in (
                 frame.s0, frame.s1, frame.s2)]).astype(np.float64)
             if self._background is not None:

@@ -20,8 +20,7 @@ from pdavis_cv.sensor import CHANNELS, Layout
 _BIN_US = 1_000
 _PAIRINGS = (((0, 1), (2, 3)), ((0, 2), (1, 3)), ((0, 3), (1, 2)))
 
-ALL_LAYOUTS = tuple(
-    Layout((a, b), (c, d)) for a, b, c, d in permutations(CHANNELS))
+ALL_LAYOUTS = tuple(Layout((a, b), (c, d)) for a, b, c, d in permutations(CHANNELS))
 """All 24 arrangements of four polarizers."""
 
 
@@ -66,8 +65,7 @@ def _place_signals(
     of 1 ms.
     """
     if source not in _COLLECTORS:
-        raise ValueError(
-            f"source must be one of {sorted(_COLLECTORS)}, got {source!r}")
+        raise ValueError(f"source must be one of {sorted(_COLLECTORS)}, got {source!r}")
     height, width = recording.info.sensor_size
     x, y, w, h = roi or (0, 0, width, height)
     times, signal = _COLLECTORS[source](recording.packets(), (x, y, x + w, y + h))

@@ -35,8 +35,7 @@ _POSITIVE_NUMBERS = (
 _NUMBERS = (*_POSITIVE_NUMBERS, "clock_offset_us")
 # Fields that must be given together.
 _TOGETHER = (("theta_on", "theta_off"),)
-_LEARNED = (
-    "thresholds_sigma", "clock_offset_sigma_us", "black_dn", "black_sigma_dn")
+_LEARNED = ("thresholds_sigma", "clock_offset_sigma_us", "black_dn", "black_sigma_dn")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -151,8 +150,7 @@ class Calibration:
             raise ValueError(f"{name} must have shape {shape}, got {np.shape(value)}")
         if name == "usable" and np.asarray(value).dtype != np.bool_:
             raise ValueError(f"usable must be bool, got {np.asarray(value).dtype}")
-        plane: Image = np.array(
-            value, np.bool_ if name == "usable" else np.float32)
+        plane: Image = np.array(value, np.bool_ if name == "usable" else np.float32)
         bad = ~np.isfinite(plane)
         if name in _POSITIVE:
             bad |= ~np.greater(plane, 0)

@@ -55,9 +55,7 @@ def thresholds_from_biases(biases: Mapping[str, float]) -> tuple[float, float]:
     return _BIAS_FACTOR * math.log(on / diff), _BIAS_FACTOR * math.log(diff / off)
 
 
-def checked_choice(
-    thresholds: str | tuple[ArrayLike, ArrayLike] | None
-) -> None:
+def checked_choice(thresholds: str | tuple[ArrayLike, ArrayLike] | None) -> None:
     """Raise ValueError if thresholds are an unknown word."""
     if isinstance(thresholds, str) and thresholds not in _CHOICES:
         raise ValueError(

@@ -188,8 +188,7 @@ class Cursor:
         last = self._recording.info.stop_us
         if last is None:
             last = self._recording.scan().stop_us
-        stops = [stop for stop in (last, self.fusion.stop_us)
-                 if stop is not None]
+        stops = [stop for stop in (last, self.fusion.stop_us) if stop is not None]
         return grid_count(min(stops) - start, rate) if stops else 0
 
     def _frame_times(self) -> NDArray[np.int64]:

@@ -302,9 +302,8 @@ class VideoCapture(Advises):
         """
         with self._lock:
             if self._foreign is not None:
-                found = self._foreign.retrieve(image, flag)
-                self._noted(found[0])
-                return bool(found[0]), found[1]
+                ok, made = self._foreign.retrieve(image, flag)
+                return self._noted(ok), made
             self._check_image("retrieve", image)
             try:
                 flag = number_of(flag)
@@ -325,9 +324,8 @@ class VideoCapture(Advises):
         """
         with self._lock:
             if self._foreign is not None:
-                found = self._foreign.read(image)
-                self._noted(found[0])
-                return bool(found[0]), found[1]
+                ok, made = self._foreign.read(image)
+                return self._noted(ok), made
             self._check_image("read", image)
             if not self._grab():
                 return self._failed("grab"), None

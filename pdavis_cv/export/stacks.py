@@ -1,6 +1,7 @@
 """Stacks of planes that are written image by image and can be resumed."""
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 from abc import ABC, abstractmethod
@@ -95,12 +96,11 @@ class StackFile(ABC):
 
     def _sole(self) -> bool:
         """Return whether no other process writes the same output."""
-        try:
+        with contextlib.suppress(OSError):
             with open(self._log_path, "ab", opener=no_link) as log:
                 sole(log, self.path)
-        except OSError:
-            return False
-        return True
+            return True
+        return False
 
     @property
     def count(self) -> int:
@@ -217,10 +217,8 @@ class StackFile(ABC):
         for name in ("_data", "_log"):
             file = getattr(self, name, None)
             if file is not None:
-                try:
+                with contextlib.suppress(OSError):  # data do not fit: it was reported
                     file.close()
-                except OSError:  # buffered data do not fit; already reported
-                    continue
 
     def __enter__(self) -> Self:
         return self

@@ -54,8 +54,7 @@ class ImageMaker:
         # An analyser matrix already includes the mismatch of the pixels.
         spread = mismatch_of(sensor) if self._analyser is None else ()
         self._spread = np.array(spread, np.float32)
-        self._gain = gain_of(
-            calibration, (window.rows, window.columns), demosaic)
+        self._gain = gain_of(calibration, (window.rows, window.columns), demosaic)
         null = (self._analyser or Analyser.ideal()).null()
         self._null = np.ascontiguousarray(null.reshape(4, *null.shape[1:] or (1, 1)))
         # Rows of the window are rows of the image, each interpolated from neighbours.

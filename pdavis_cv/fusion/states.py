@@ -61,6 +61,12 @@ class _MethodState:
         """Return the method's state after everything up to `fed_us`."""
         return self.method.snapshot()
 
+    def _feed(self, method: Reconstructor, events: Events) -> None:
+        """Feed events of the whole sensor, where any lie in the window."""
+        inside = self.window.events(events)
+        if len(inside):
+            feed_events(method, inside)
+
 
 class InOrderState(_MethodState):
     """A method that is fed in time order, each frame at its mid-exposure."""
@@ -69,9 +75,7 @@ class InOrderState(_MethodState):
         """Add events of the whole sensor."""
         if self.sample is not None:
             self.sample.add_events(events)
-        inside = self.window.events(events)
-        if len(inside):
-            feed_events(self.method, inside)
+        self._feed(self.method, events)
 
     def add_frame(self, frame: ApsFrame, clock_us: int = 0) -> None:
         """Add a corrected frame of the whole sensor.
@@ -131,9 +135,7 @@ class ArrivalState(_MethodState):
         method has them already, so that only the sample gets them.
         """
         fresh = 0 if self.fed_us is None else bisect_right(events["t"], self.fed_us)
-        inside = self.window.events(events[fresh:])
-        if len(inside):
-            feed_events(self.method, inside)
+        self._feed(self.method, events[fresh:])
         if self._keeps_events:
             self._pending.append(events)
         self._commit(int(events["t"][-1]) - LONGEST_DELAY_US)
@@ -259,9 +261,7 @@ class ReplayState(ArrivalState):
 
     def _feed_in_order(self, events: Events) -> None:
         super()._feed_in_order(events)
-        inside = self.window.events(events)
-        if len(inside):
-            feed_events(self._committed, inside)
+        self._feed(self._committed, events)
 
     def _replay(self) -> None:
         """Make the current state from the committed one and the pending events."""
@@ -269,9 +269,7 @@ class ReplayState(ArrivalState):
         if self.method.denoiser is not None and self._committed.denoiser is not None:
             self.method.denoiser.restore(self._committed.denoiser.state())
         for events in self._pending:
-            inside = self.window.events(events)
-            if len(inside):
-                feed_events(self.method, inside)
+            self._feed(self.method, events)
 
 
 def make_state(

@@ -57,5 +57,4 @@ class Tuning:
 
     def changed(self, **parameters: Any) -> Tuning:
         """Return the tuning with other parameters."""
-        return dataclasses.replace(
-            self, parameters={**self.parameters, **parameters})
+        return dataclasses.replace(self, parameters={**self.parameters, **parameters})

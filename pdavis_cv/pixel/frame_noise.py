@@ -55,9 +55,7 @@ def learned_frame_noise(data: Sampled, model: PixelModel) -> PixelModel:
     return model.replace(read_variance=float(noise[0]), shot=float(noise[1]))
 
 
-def _fitted(
-    x: NDArray[np.float64], y: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _fitted(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return least squares of y, none of them negative."""
     from scipy.optimize import nnls  # it takes a tenth of a second
 

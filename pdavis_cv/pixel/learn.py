@@ -195,9 +195,7 @@ def _with(fit: _Fit, **changes: object) -> _Fit:
     return _changed(fit, model=fit.model.replace(**changes))
 
 
-def prior_model(
-    priors: Priors, lookahead_us: int, ms: float = math.inf,
-) -> PixelModel:
+def prior_model(priors: Priors, lookahead_us: int, ms: float = math.inf) -> PixelModel:
     """Return the camera that the priors describe, for frames of an exposure, ms."""
     theta, table = np.array(priors.theta, np.float64), table_of(lookahead_us)
     model = PixelModel(
@@ -402,9 +400,7 @@ def _honest(data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit) -> _Fit:
         **fit.sigmas, "off": math.sqrt(new[0]), "on": math.sqrt(new[1])})
 
 
-def _losses(
-    data: Sampled, pairs: Pairs, fit: _Fit,
-) -> tuple[Floats, NDArray[np.bool_]]:
+def _losses(data: Sampled, pairs: Pairs, fit: _Fit) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the loss of each row in ln DN, robust from LOSS on; which are steady."""
     rows = _rows(data, _past(data, fit.model), pairs, fit)
     error = (_residual(rows, fit.model) * rows.jacobian) ** 2 / (

@@ -263,8 +263,7 @@ def through_table(
             raise TypeError(f"valid must be bool, got {mask.dtype}")
         mask = mask.astype(np.bool_, copy=False)
         if mask.shape != plane.shape:
-            raise ValueError(
-                f"valid must have shape {plane.shape}, got {mask.shape}")
+            raise ValueError(f"valid must have shape {plane.shape}, got {mask.shape}")
         good = np.ascontiguousarray(mask).reshape(rows).view(np.uint8)
     picture = np.empty((*plane.shape, 3), np.uint8)
     kernel(np.ascontiguousarray(plane).reshape(rows), good, float(scale),

@@ -201,9 +201,7 @@ def tile(
     return even(sheet)
 
 
-def stack(
-    pictures: Sequence[Picture], gap: int = 0, *, style: Style = DARK
-) -> Picture:
+def stack(pictures: Sequence[Picture], gap: int = 0, *, style: Style = DARK) -> Picture:
     """Stack pictures vertically, left-aligned.
 
     Parameters
@@ -294,8 +292,7 @@ def caption(picture: Picture, text: str, x: int, y: int, grey: int = 235,
 def text_width(text: str, zoom: int = 1) -> int:
     """Return the width of a line of text in pixels."""
     cv2 = opencv()
-    return int(cv2.getTextSize(
-        text, cv2.FONT_HERSHEY_SIMPLEX, 0.42 * zoom, zoom)[0][0])
+    return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.42 * zoom, zoom)[0][0])
 
 
 def _line(text: str, style: Style = DARK) -> Picture:

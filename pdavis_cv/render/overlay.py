@@ -66,8 +66,7 @@ def events_on(
     net = np.bincount(y[inside] * width + x[inside], sign, height * width)
     net = net.reshape(height, width)
     share = np.minimum(np.abs(net) * (step / 255), 1)[..., None]
-    target = np.where(
-        (net > 0)[..., None], np.array(colours[0]), np.array(colours[1]))
+    target = np.where((net > 0)[..., None], np.array(colours[0]), np.array(colours[1]))
     mixed = picture + share * (target - picture.astype(np.float64))
     result: Picture = np.rint(mixed).astype(np.uint8)
     return result

@@ -156,8 +156,7 @@ class ToneCurve:
         """
         if self.saturated is None:
             return self.bgr(intensity, valid)
-        return self._through(
-            intensity, valid, INVALID, (255, 255, 255), self.saturated)
+        return self._through(intensity, valid, INVALID, (255, 255, 255), self.saturated)
 
     def _through(
         self, intensity: ArrayLike, valid: NDArray[np.bool_] | None,

@@ -227,16 +227,18 @@ class Handler(BaseHTTPRequestHandler):
     # ---- what is answered ----------------------------------------------------------
 
     def _send(self, body: bytes, kind: str, status: int = 200) -> None:
-        self.send_response(status)
-        for name, value in _HEADERS.items():
-            self.send_header(name, value)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(body)))
+        headers = {**_HEADERS, "Content-Type": kind, "Content-Length": str(len(body))}
         if self.close_connection:
-            self.send_header("Connection", "close")
-        self.end_headers()
+            headers["Connection"] = "close"
+        self._begin(status, headers)
         if self.command != "HEAD":
             self.wfile.write(body)
+
+    def _begin(self, status: int, headers: dict[str, str]) -> None:
+        self.send_response(status)
+        for name, value in headers.items():
+            self.send_header(name, value)
+        self.end_headers()
 
     def _file(self) -> None:
         name, kind = _FILES[self.where]
@@ -259,11 +261,8 @@ class Handler(BaseHTTPRequestHandler):
         key = accepted_key(dict(self.headers.items()))
         with self._place():
             self.close_connection = True
-            self.send_response(101)
-            for name, value in (("Upgrade", "websocket"), ("Connection", "Upgrade"),
-                                ("Sec-WebSocket-Accept", key)):
-                self.send_header(name, value)
-            self.end_headers()
+            self._begin(101, {"Upgrade": "websocket", "Connection": "Upgrade",
+                              "Sec-WebSocket-Accept": key})
             try:
                 while (text := self._message()) is not None:
                     asked = _Asked.of(json.loads(text))
@@ -344,14 +343,10 @@ class Handler(BaseHTTPRequestHandler):
             for number, image in self._images():
                 data = self._site.picture(output, number, image)
                 if not sent:
-                    self.send_response(200)
-                    for name, value in _HEADERS.items():
-                        self.send_header(name, value)
-                    self.send_header(
-                        "Content-Type",
-                        f"multipart/x-mixed-replace; boundary={BOUNDARY}")
-                    self.send_header("Connection", "close")
-                    self.end_headers()
+                    self._begin(200, {
+                        **_HEADERS, "Content-Type":
+                        f"multipart/x-mixed-replace; boundary={BOUNDARY}",
+                        "Connection": "close"})
                 if self.command == "HEAD":
                     return
                 self.wfile.write(

@@ -82,15 +82,13 @@ def _plane(
     are `NONE`.
     """
     if one.of_events:
-        return np.ascontiguousarray(
-            pane(f"{one.name}_bgr", show, image)[..., 0])
+        return np.ascontiguousarray(pane(f"{one.name}_bgr", show, image)[..., 0])
     values = one.plane(image)
     if values is None:
         return np.full(image.s0.shape, NONE, np.uint8)
     values = one.of(image)
     if one.colours == "hue":
-        picture = through_table(
-            _kernels.hue_bgr, values, image.valid, AOP_SCALE, _HUES)
+        picture = through_table(_kernels.hue_bgr, values, image.valid, AOP_SCALE, _HUES)
         picture[image.valid & ~known_aop(image)] = _HIDDEN
     else:
         low, high = levels if one.name == "s0" else one.ends(
@@ -202,11 +200,8 @@ def archive(image: PolarFrame) -> bytes:
     """Return all data of an image as the bytes of an .npz file."""
     arrays: dict[str, Any] = {
         "quad": image.quad, "s0": image.s0, "aop_rad": image.aop,
-        "dolp": image.dolp, "valid": image.valid, "t_us": np.array(image.t_us)}
-    for name, sigma in (("sigma_aop_rad", image.sigma_aop),
-                        ("sigma_dolp", image.sigma_dolp)):
-        if sigma is not None:
-            arrays[name] = sigma
+        "dolp": image.dolp, "valid": image.valid, "t_us": np.array(image.t_us),
+        "sigma_aop_rad": image.sigma_aop, "sigma_dolp": image.sigma_dolp}
     out = io.BytesIO()
-    np.savez(out, **arrays)
+    np.savez(out, **{name: one for name, one in arrays.items() if one is not None})
     return out.getvalue()

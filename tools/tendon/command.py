@@ -152,7 +152,10 @@ def measure(
             "start_us": int(times[0]), "stop_us": int(times[-1]) + 1}
     background = _background(args, options)
     regions = [roi for group in args.region for roi in group]
-    regions = regions or [_whole(recording, args)]
+    if not regions:
+        height, width = recording.info.sensor_size
+        x, y, w, h = args.roi or (0, 0, width // 2 * 2, height // 2 * 2)
+        regions = [analysis.Roi.from_rectangle(x, y, w, h, "all")]
     names = [roi.name for roi in regions]
     if len(set(names)) < len(names):
         raise UsageError(f"regions must have different names, got {', '.join(names)}")
@@ -190,12 +193,6 @@ def measure(
     if not args.no_video:
         _video(args, recording, options, held, found)
     return found
-
-
-def _whole(recording: Recording, args: argparse.Namespace) -> analysis.Roi:
-    height, width = recording.info.sensor_size
-    x, y, w, h = args.roi or (0, 0, width // 2 * 2, height // 2 * 2)
-    return analysis.Roi.from_rectangle(x, y, w, h, "all")
 
 
 def _traces(

@@ -76,8 +76,7 @@ def _clock(
         raise UsageError("--align offset needs --offset")
     if args.align == "offset" or (args.align is None and args.offset is not None
                                   and args.within is None):
-        return analysis.Clock(
-            found.origin_us, args.offset, skew_ppm=args.skew_ppm)
+        return analysis.Clock(found.origin_us, args.offset, skew_ppm=args.skew_ppm)
     return _correlated(args, found, load)
 
 

@@ -156,9 +156,7 @@ def _place(image: PolarFrame) -> tuple[int, int]:
     return int(image.provenance.get("roi", (0, 0))[0]), scale
 
 
-def _masks(
-    regions: list[analysis.Roi], image: PolarFrame
-) -> list[NDArray[np.bool_]]:
+def _masks(regions: list[analysis.Roi], image: PolarFrame) -> list[NDArray[np.bool_]]:
     x, y = (int(v) for v in image.provenance.get("roi", (0, 0))[:2])
     return [roi.mask((image.shape[0], image.shape[1]), origin=(x, y),
                      scale=_place(image)[1]) for roi in regions]

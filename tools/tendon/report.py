@@ -47,16 +47,17 @@ def matplotlib() -> Any:
 
 def write_report(path: str | os.PathLike[str], found: Findings) -> None:
     """Write the report; the file appears when it is complete."""
+    name = str(found.facts.get("input", {}).get("name", "recording"))
     parts = [
         "<!doctype html><html lang=en><meta charset=utf-8>",
         f"<title>Tendon report</title><style>{_STYLE}</style>",
-        f"<h1>Loaded sample: {html.escape(_name(found))}</h1>",
+        f"<h1>Loaded sample: {html.escape(name)}</h1>",
         *(f"<p class=warn>{html.escape(message)}</p>" for message in found.messages),
         *(f"<p class=warn>{html.escape(text)}</p>" for text in found.facts["assumed"]),
         "<h2>Load</h2>", _load_table(found),
     ]
     if found.still is not None:
-        parts += ["<h2>One moment</h2>", _picture(found.still)]
+        parts += ["<h2>One moment</h2>", _image(render.png_of(found.still))]
     parts += ["<h2>Mean maps</h2>", "<p>Of the mean Stokes vector of all frames; "
               "coordinates are sensor pixels.</p>", _figure(_mean_maps, found, 3.4)]
     parts += [
@@ -105,11 +106,6 @@ def summary(found: Findings) -> tuple[list[str], dict[str, Any]]:
         facts["clock"] = clock_of(found)
         lines.append(f"load file: {_clock(found.clock)}")
     return lines, facts
-
-
-def _name(found: Findings) -> str:
-    source = found.facts.get("input", {})
-    return str(source.get("name", "recording"))
 
 
 def _table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
@@ -163,10 +159,6 @@ def _drift_table(found: Findings) -> str:
             for change, error in zip(fit.slope, fit.slope_se, strict=True))))
     return _table(("region", "S0", "S1", "S2"), rows) + (
         "<p>Change from the first to the last frame, as a part of the mean S0.</p>")
-
-
-def _picture(picture: render.Picture) -> str:
-    return _image(render.png_of(picture))
 
 
 def _image(data: bytes, more: str = "") -> str:
@@ -266,8 +258,7 @@ def _degrees(aop: Any) -> Any:
 def _cycle(figure: Any, found: Findings) -> None:
     axes, light = figure.subplots(), found.light
     place = np.mod(light.fit.law.cycles(light.t_us), 1)
-    for i, (roi, stokes) in enumerate(zip(
-            found.fused.rois, light.stokes, strict=True)):
+    for i, (roi, stokes) in enumerate(zip(found.fused.rois, light.stokes, strict=True)):
         colour = _COLOURS[i % len(_COLOURS)]
         axes.plot(place, analysis.of_dolp(stokes.T), ".", ms=3, alpha=0.4, color=colour)
         if found.waves[i] is not None:
