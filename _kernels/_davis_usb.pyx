@@ -184,10 +184,8 @@ def davis_words(const uint16_t[::1] words not None, Py_ssize_t begin, bint turne
         raise ValueError("davis_words: an array is empty")
     if begin < 0 or begin > n:
         raise ValueError("davis_words: begin lies outside words")
-    for k in range(3):
-        if state[k] < 0:
-            raise ValueError("davis_words: state lies outside an array")
-    if (state[EVENTS] > room or state[IMU_SAMPLES] > imu_room
+    if (min(state[EVENTS], state[IMU_SAMPLES], state[TRIGGERS]) < 0
+            or state[EVENTS] > room or state[IMU_SAMPLES] > imu_room
             or state[TRIGGERS] > trigger_room or state[READ] > 1
             or state[RESETS] < 0 or state[SIGNALS] < 0 or state[PLACE] < 0
             or state[IMU_BYTES] > 14

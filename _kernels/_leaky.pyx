@@ -101,9 +101,8 @@ def leak_read(const cell_t[:, ::1] cells not None, const float[:, ::1] base not 
               double t, float[:, ::1] out not None):
     """Write base + value decayed to t; the cells are not updated."""
     cdef Py_ssize_t h = out.shape[0], w = out.shape[1], y
-    if cells.shape[0] != h or base.shape[0] != h:
-        raise ValueError("leak_read: cells, base and out must have one shape")
-    if cells.shape[1] != w or base.shape[1] != w:
+    if (cells.shape[0] != h or base.shape[0] != h or cells.shape[1] != w
+            or base.shape[1] != w):
         raise ValueError("leak_read: cells, base and out must have one shape")
     if w == 0:
         return

@@ -11,18 +11,8 @@ ctypedef void (*row_f64_t)(const double*, const uint8_t*, Py_ssize_t, double, do
                            const uint8_t*, int32_t, int32_t, uint8_t*) noexcept nogil
 
 cdef extern from "_picture.h" nogil:
-    void hue_row_f32(const float*, const uint8_t*, Py_ssize_t, double, double,
-                     const uint8_t*, int32_t, int32_t, uint8_t*)
-    void hue_row_f64(const double*, const uint8_t*, Py_ssize_t, double, double,
-                     const uint8_t*, int32_t, int32_t, uint8_t*)
-    void ramp_row_f32(const float*, const uint8_t*, Py_ssize_t, double, double,
-                      const uint8_t*, int32_t, int32_t, uint8_t*)
-    void ramp_row_f64(const double*, const uint8_t*, Py_ssize_t, double, double,
-                      const uint8_t*, int32_t, int32_t, uint8_t*)
-    void tone_row_f32(const float*, const uint8_t*, Py_ssize_t, double, double,
-                      const uint8_t*, int32_t, int32_t, uint8_t*)
-    void tone_row_f64(const double*, const uint8_t*, Py_ssize_t, double, double,
-                      const uint8_t*, int32_t, int32_t, uint8_t*)
+    row_f32_t hue_row_f32, ramp_row_f32, tone_row_f32
+    row_f64_t hue_row_f64, ramp_row_f64, tone_row_f64
     void fade_row(const float*, const uint8_t*, Py_ssize_t, float, int32_t, uint8_t*)
 
 

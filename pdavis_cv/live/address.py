@@ -104,9 +104,7 @@ def number(name: str, text: str, kind: Callable[[str], Any] = float) -> Any:
         raise ValueError(f"{name} must be a number, got {text!r}") from None
 
 
-def options_of(
-    opener: Callable[..., Any], values: dict[str, str]
-) -> dict[str, Any]:
+def options_of(opener: Callable[..., Any], values: dict[str, str]) -> dict[str, Any]:
     """Return the values of an address as an opener's keyword arguments.
 
     Its keyword-only parameters are the names allowed, and their defaults tell the
@@ -120,8 +118,7 @@ def options_of(
     found: dict[str, Any] = {}
     for name, text in values.items():
         if name not in defaults:
-            raise ValueError(
-                f"there is no {name!r}; it takes {', '.join(defaults)}")
+            raise ValueError(f"there is no {name!r}; it takes {', '.join(defaults)}")
         kind = type(defaults[name])
         if kind is bool:
             found[name] = bool(number(name, text, int))

@@ -95,7 +95,9 @@ def in_order(packets: Iterator[Packet], log: ProblemLog) -> Iterator[Packet]:
             jumps += 1
             log.add("segment", None, "the device's clock was reset: what follows is "
                     "moved to follow what came before", start_us=last)
-        if _latest(packet) + offset >= FAR:
+        times = (packet.start_us, packet.stop_us, packet.until_us,
+                 *(frame.available_us for frame in packet.frames))
+        if max(t for t in times if t is not None) + offset >= FAR:
             log.add("backward time", None, _OUT_OF_REACH)
             continue
         if offset:
@@ -109,13 +111,6 @@ def in_order(packets: Iterator[Packet], log: ProblemLog) -> Iterator[Packet]:
             ends.append(packet.stop_us - 1)
         last = max(ends)
         yield packet
-
-
-def _latest(packet: Packet) -> int:
-    """Return the latest time in a packet, which must have one."""
-    return max(t for t in (packet.start_us, packet.stop_us, packet.until_us,
-                           *(frame.available_us for frame in packet.frames))
-               if t is not None)
 
 
 def moved(packet: Packet, offset_us: int) -> Packet:

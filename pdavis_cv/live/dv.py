@@ -124,9 +124,7 @@ class DvSource(LiveSource):
     than that is stamped as available when it arrived.
     """
 
-    def __init__(
-        self, name: str, connections: list[socket.socket]
-    ) -> None:
+    def __init__(self, name: str, connections: list[socket.socket]) -> None:
         self._connections = [_Connection(link, name) for link in connections]
         super().__init__(self._facts(name), name)
         self._clock = Clock(None)
@@ -213,8 +211,7 @@ class DvSource(LiveSource):
             elif kind == "IMUS":
                 yield from pieces(Packet(imu=_sorted(samples.imu_samples(table))))
             elif kind == "TRIG":
-                yield from pieces(
-                    Packet(triggers=_sorted(samples.triggers(table))))
+                yield from pieces(Packet(triggers=_sorted(samples.triggers(table))))
         except PayloadError as error:
             self._log.add("damage", None, f"a packet could not be read: {error}")
         except RecordingError as error:     # a limit is passed, or a package missing

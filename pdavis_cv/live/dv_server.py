@@ -199,8 +199,7 @@ class DvServer:
             Longest wait, s.
         """
         with self._change:
-            return self._change.wait_for(
-                lambda: all(self._clients.values()), timeout)
+            return self._change.wait_for(lambda: all(self._clients.values()), timeout)
 
     def add(self, packet: Packet) -> None:
         """Send a packet to all clients.

@@ -32,6 +32,7 @@ from pdavis_cv.reconstruct.base import Factory
 from pdavis_cv.recording.base import (
     ApsFrame,
     Packet,
+    PlainSource,
     Problem,
     RecordingInfo,
     Source,
@@ -52,21 +53,13 @@ LEAST_IMAGES_S = 0.04
 s.  Engineering choice."""
 
 
-class _Arriving(Source):
+class _Arriving(PlainSource):
     """The source that fusing reads: the packets of a session's inbox."""
 
     def __init__(
         self, info: RecordingInfo, packets: Iterator[Packet], realtime: bool
     ) -> None:
         self._info, self._packets, self.realtime = info, packets, realtime
-
-    @property
-    def info(self) -> RecordingInfo:
-        return self._info
-
-    @property
-    def problems(self) -> Sequence[Problem]:
-        return ()
 
     def packets(self) -> Iterator[Packet]:
         return self._packets
@@ -413,11 +406,9 @@ class Session:
         if self._source is None:
             raise ValueError("read needs a source; images come from push")
         with self._change:
-            come = self._change.wait_for(
-                lambda: self._images or self.over, timeout)
+            come = self._change.wait_for(lambda: self._images or self.over, timeout)
             if not come:
-                raise TimeoutError(
-                    f"{self._log.name}: no image for {timeout:g} s")
+                raise TimeoutError(f"{self._log.name}: no image for {timeout:g} s")
             if self._images and not self._closed:
                 image = self._images.popleft()
                 self._change.notify_all()
@@ -450,8 +441,7 @@ class Session:
         image : PolarFrame or None
         """
         with self._change:
-            self._change.wait_for(
-                lambda: self._latest[0] > after or self.over, timeout)
+            self._change.wait_for(lambda: self._latest[0] > after or self.over, timeout)
             return self._latest if self._latest[0] > after else (after, None)
 
     def __iter__(self) -> Iterator[PolarFrame]:

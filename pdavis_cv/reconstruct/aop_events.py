@@ -137,6 +137,5 @@ class AopEvents:
 def _axes(layout: Layout) -> NDArray[np.float64]:
     doubled = np.deg2rad(2 * np.array(CHANNELS))
     axes = np.empty((4, 2))
-    axes[list(layout.places)] = np.rint(
-        np.stack([np.cos(doubled), np.sin(doubled)], 1))
+    axes[list(layout.places)] = np.rint(np.stack([np.cos(doubled), np.sin(doubled)], 1))
     return axes

@@ -139,7 +139,9 @@ class ComplementaryFilter(Reconstructor):
         # ln of the converter's full scale over 256: DN to the 8-bit scale.
         log_scale = math.log(2) * (frame.full_scale_dn.bit_length() - _ADAPTIVE_BITS)
         if not self._started:
-            self._start(sample)
+            self._cells["value"] = sample if self._rule == "printed" else 0
+            self._held[:] = sample
+            self._started = True
         usable, log_8bit = valid.view(np.uint8), unit - np.float32(log_scale)
         if self._rule == "printed":
             _kernels.cf_frame_printed(
@@ -154,11 +156,6 @@ class ComplementaryFilter(Reconstructor):
                 sample, usable, log_8bit, age, mid, self._rate, self._floor,
                 self._held, self._cells)
         self._exposure, self._valid = exposure, valid
-
-    def _start(self, sample: NDArray[np.float32]) -> None:
-        self._cells["value"] = sample if self._rule == "printed" else 0
-        self._held[:] = sample
-        self._started = True
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the log intensity at t_us (see `Reconstructor.read`)."""

@@ -114,8 +114,7 @@ class EventHighPass(Reconstructor):
         """Integrate events (see `Reconstructor.add_events`)."""
         events = timed_events(events)
         clock = self._clock
-        taken = _kernels.leak_events(
-            events, self._steps, clock.last_us, self._cells)
+        taken = _kernels.leak_events(events, self._steps, clock.last_us, self._cells)
         _kernels.leak_shown(
             events[:taken], self._cells, self._held, self._seen.view(np.uint8))
         clock.took(events, taken)

@@ -96,8 +96,7 @@ class Lamplight:
         """Drop the blocks that end at or before a time, us."""
         if not len(self._all):
             return
-        n = min((before_us - int(self._all["start_us"][0])) // BLOCK_US,
-                len(self._all))
+        n = min((before_us - int(self._all["start_us"][0])) // BLOCK_US, len(self._all))
         if n > 0:
             self._show(self._all[n:].copy())
 

@@ -44,8 +44,7 @@ def _bytes(field: int, value: bytes | str) -> bytes:
 def _attribute(name: str, value: int | Sequence[int]) -> bytes:
     if isinstance(value, int):
         return _bytes(1, name) + _number(3, value) + _number(20, _INT)
-    return _bytes(1, name) + b"".join(
-        _number(8, v) for v in value) + _number(20, _INTS)
+    return _bytes(1, name) + b"".join(_number(8, v) for v in value) + _number(20, _INTS)
 
 
 def _tensor(name: str, array: NDArray[np.float32]) -> bytes:

@@ -317,17 +317,14 @@ class EventRedundancy(Reconstructor):
                     self._next = min(self._next, -(-(k + 1) // SOLVE_EVERY)
                                      * SOLVE_EVERY)
             if k % SOLVE_EVERY == 0 and self._unsolved:
-                self.workers.rows(len(self._moments), self._solve,
-                                  row_ns=_SOLVE_NS * self._moments.shape[1])
+                self.workers.rows(  # of macropixels, which have two rows of pixels
+                    len(self._moments), lambda first, last: _kernels.redundancy_solve(
+                        self._policy, self._moments[first:last],
+                        self._states[2 * first:2 * last]),
+                    row_ns=_SOLVE_NS * self._moments.shape[1])
                 self._unsolved = False
                 self._solved = None
         self._lamp.forget(until_us - MEMORY_US)
-
-    def _solve(self, first: int, last: int) -> None:
-        """Solve for the gains of the macropixels in some rows of them."""
-        pixels = slice(2 * first, 2 * last)
-        _kernels.redundancy_solve(self._policy, self._moments[first:last],
-                                  self._states[pixels])
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the log intensity at t_us (see `Reconstructor.read`)."""

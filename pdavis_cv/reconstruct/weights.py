@@ -107,8 +107,7 @@ class Weights:
 
     def save(self, path: str | Path) -> None:
         """Write an npz file."""
-        about = {"network": self.network, "unit": self.unit,
-                 "about": dict(self.about)}
+        about = {"network": self.network, "unit": self.unit, "about": dict(self.about)}
         stored: dict[str, Any] = {_META: np.array(json.dumps(about)), **self.arrays}
         with open(path, "wb") as stream:
             np.savez_compressed(stream, **stored)

@@ -6,6 +6,7 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
@@ -265,13 +266,10 @@ class Packet(Advises):
         nothing happens, so that images need not wait for the next sample.
     """
 
-    events: NDArray[Any] = field(
-        default_factory=lambda: np.empty(0, EVENT_DTYPE))
+    events: NDArray[Any] = field(default_factory=lambda: np.empty(0, EVENT_DTYPE))
     frames: tuple[ApsFrame, ...] = ()
-    imu: NDArray[Any] = field(
-        default_factory=lambda: np.empty(0, IMU_DTYPE))
-    triggers: NDArray[Any] = field(
-        default_factory=lambda: np.empty(0, TRIGGER_DTYPE))
+    imu: NDArray[Any] = field(default_factory=lambda: np.empty(0, IMU_DTYPE))
+    triggers: NDArray[Any] = field(default_factory=lambda: np.empty(0, TRIGGER_DTYPE))
     until_us: int | None = None
 
     @property
@@ -378,16 +376,12 @@ class RecordingInfo(Advises):
     def __reduce__(self) -> tuple[Any, ...]:
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         values |= {name: dict(values[name]) for name in _MAPPINGS}
-        return _restore_info, (values,)
+        return partial(RecordingInfo, **values), ()
 
 
 _MAPPINGS = ("biases", "header", "origins")
 _FACTS = ("sensor_size", "sensor", "layout", "extinction_ratio", "frame_times",
           "exposure_us", "full_scale_dn")
-
-
-def _restore_info(values: dict[str, Any]) -> RecordingInfo:
-    return RecordingInfo(**values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -506,6 +500,22 @@ class Source(Advises, ABC):
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+
+class PlainSource(Source):
+    """A source that sets `_info`, and has no problems: what it gives was checked."""
+
+    _info: RecordingInfo
+
+    @property
+    def info(self) -> RecordingInfo:
+        """Header facts."""
+        return self._info
+
+    @property
+    def problems(self) -> Sequence[Problem]:
+        """Always empty."""
+        return ()
 
 
 class Recording(Source):

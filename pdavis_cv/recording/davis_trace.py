@@ -13,12 +13,11 @@ import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, Self
 
 from pdavis_cv._beside import Unfinished
 from pdavis_cv.errors import RecordingError
-from pdavis_cv.recording.base import Packet, RecordingInfo
+from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.recording.davis import DavisDecoder, Orientation
 from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.files import ProblemLog
@@ -97,10 +96,7 @@ class TraceWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exc: object) -> None:
         self.close()
 
 
@@ -143,7 +139,13 @@ class TraceRecording(PiecewiseRecording):
         for transfer in self._transfers():
             found = decoder.feed(transfer.data, transfer.host_s, lost=transfer.lost)
             for packet in found:
-                yield _batch(packet, decoder.time_us), 0.0
+                samples: dict[str, Any] = {
+                    name: part for name in ("events", "imu", "triggers")
+                    if len(part := getattr(packet, name))}
+                # A frame, or the packet's last sample, may be at the current time.
+                complete = (packet.stop_us or decoder.time_us + 1) - 1
+                yield Batch(
+                    frames=list(packet.frames), complete_us=complete, **samples), 0.0
         for problem in log.problems:
             self._count(0, problem.kind, problem.count, problem.message)
 
@@ -160,12 +162,3 @@ class TraceRecording(PiecewiseRecording):
                     continue
             self._log.damage(at, f"byte {at}: a transfer is cut short", offset=at)
             return
-
-
-def _batch(packet: Packet, time_us: int) -> Batch:
-    samples: dict[str, Any] = {
-        name: part for name in ("events", "imu", "triggers")
-        if len(part := getattr(packet, name))}
-    # A frame, or the packet's last sample, may be at the current time.
-    return Batch(frames=list(packet.frames),
-                 complete_us=(packet.stop_us or time_us + 1) - 1, **samples)

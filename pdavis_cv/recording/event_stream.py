@@ -68,6 +68,5 @@ class EventStreamRecording(SequentialRecording):
 
         events = self._taken(decode, len(data) // _BYTES + 1, clock, at, memory)
         if len(data) and not done:
-            self._log.damage(
-                at, f"byte {at}: the file ends inside an event", offset=at)
+            self._log.damage(at, f"byte {at}: the file ends inside an event", offset=at)
         return events, at + done

@@ -170,8 +170,7 @@ class StreamWriter(_EventWriter):
             self._now = 0 if 0 <= first < _ES_LATEST else first
             if self._now:
                 self._lost["us before the first event: times begin at 0"] = first
-        steps: NDArray[Any] = np.diff(
-            events["t"].astype(np.int64), prepend=self._now)
+        steps: NDArray[Any] = np.diff(events["t"].astype(np.int64), prepend=self._now)
         ends = np.cumsum(5 + steps // _ES_STEP)
         out = np.full(int(ends[-1]), 0xFF, np.uint8)
         rows = np.empty(len(events), [("head", "u1"), ("x", "<u2"), ("y", "<u2")])

@@ -98,8 +98,7 @@ def serve(most: int, hears: int, says: int, shared: int) -> None:
         while True:
             question = pickle.loads(wire.receive(ask))
             try:
-                text = wire.written(
-                    (answer(question), None, problems(), said), memory)
+                text = wire.written((answer(question), None, problems(), said), memory)
             except Exception as error:
                 lacks = isinstance(error, MemoryError) or "memory alloc" in str(error)
                 known = budget.over("memory", "its reader") if lacks else error

@@ -1,7 +1,7 @@
 """Recordings in memory."""
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from pdavis_cv.recording.base import (
     TRIGGER_DTYPE,
     ApsFrame,
     Packet,
-    Problem,
+    PlainSource,
     Recording,
     RecordingInfo,
     check_size,
@@ -24,8 +24,8 @@ from pdavis_cv.recording.packetise import Batch, packetise
 from pdavis_cv.sensor import Layout
 
 
-class MemoryRecording(Recording):
-    """A recording whose samples are arrays; see `recording_from_arrays`."""
+class MemoryRecording(PlainSource, Recording):
+    """A recording whose samples are arrays, which `recording_from_arrays` checks."""
 
     def __init__(
         self, info: RecordingInfo, events: NDArray[Any],
@@ -34,16 +34,6 @@ class MemoryRecording(Recording):
         self._info = info
         self._events, self._frames = events, frames
         self._imu, self._triggers = imu, triggers
-
-    @property
-    def info(self) -> RecordingInfo:
-        """Header facts."""
-        return self._info
-
-    @property
-    def problems(self) -> Sequence[Problem]:
-        """Always empty: arrays are checked when the recording is made."""
-        return ()
 
     def packets(
         self, start_us: int | None = None, stop_us: int | None = None

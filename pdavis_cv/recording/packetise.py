@@ -105,10 +105,9 @@ def packetise(
             else:
                 part_end, others = min(events.next_us, until), None
                 shut = (frames.popleft(),) if part_end > closing else ()
-                packet = Packet(
-                    part, shut, imu.take(part_end), triggers.take(part_end))
+                packet = Packet(part, shut, imu.take(part_end), triggers.take(part_end))
             if not whole:
-                packet = _cut(packet, first, end)
+                packet = cut(packet, first, end)
             if whole or packet.start_us is not None:
                 yield packet
         if batch.complete_us >= end and at >= end:
@@ -119,7 +118,8 @@ def packetise(
                 _PIXEL * len(frames) * math.prod(frames[0].shape) if frames else 0))
 
 
-def _cut(packet: Packet, first: int, end: int) -> Packet:
+def cut(packet: Packet, first: int, end: int) -> Packet:
+    """Return the part of a packet with first <= time < end; its arrays are views."""
     if packet.start_us is None or packet.stop_us is None or (
             packet.start_us >= first and packet.stop_us <= end):
         return packet

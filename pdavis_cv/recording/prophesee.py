@@ -122,8 +122,7 @@ def _single_events(pairs: NDArray[np.unsignedinteger], high_first: bool
     """
     high, pixels = (pairs if high_first else pairs[:, ::-1]).T
     events = high >> 28 <= 1
-    row, column = np.nonzero(
-        pixels[events, None] >> np.arange(32, dtype=np.uint32) & 1)
+    row, column = np.nonzero(pixels[events, None] >> np.arange(32, dtype=np.uint32) & 1)
     counts = np.ones(len(high), np.int64)
     counts[events] = np.bincount(row, minlength=np.count_nonzero(events))
     words: NDArray[np.uint32] = np.repeat(high, counts)

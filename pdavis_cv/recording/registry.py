@@ -122,8 +122,7 @@ def suffixes() -> tuple[str, ...]:
 def format_of(path: Path, start: bytes) -> Format | None:
     """Return the format of a file by its first bytes (b"" for a folder), or None."""
     def first(table: Iterable[Format]) -> Format | None:
-        return next((one for one in table
-                     if one.knows(path, start)), None)
+        return next((one for one in table if one.knows(path, start)), None)
 
     return first(FORMATS[name] for name in FORMATS.known) or first(
         FORMATS.usable().values())

@@ -422,30 +422,24 @@ class RosRecording(PiecewiseRecording):
         The bag is opened anew each time, as the library's readers have one position.
         """
         with ExitStack() as stack:
-            try:
-                with self._drawing():
-                    messages = stack.enter_context(closing(self._of(
-                        stack.enter_context(self._kind(self._path)))))
-                    ahead = next(messages, None)
-            except RecordingError:
-                raise
-            except Exception as error:  # as in _open
-                self._lost(error)
-                return
-            while ahead is not None:
-                self._check_open()
-                yield ahead
+            messages: Generator[tuple[str, str, bytes], None, None] | None = None
+            while True:
                 try:
                     with self._drawing():
+                        if messages is None:
+                            messages = stack.enter_context(closing(self._of(
+                                stack.enter_context(self._kind(self._path)))))
                         ahead = next(messages, None)
                 except RecordingError:
                     raise
-                except Exception as error:
-                    self._lost(error)
+                except Exception as error:  # as in _open
+                    self._log.damage(
+                        "end", f"the bag cannot be read further: {error}", offset=0)
                     return
-
-    def _lost(self, error: Exception) -> None:
-        self._log.damage("end", f"the bag cannot be read further: {error}", offset=0)
+                if ahead is None:
+                    return
+                self._check_open()
+                yield ahead
 
     def _frame(self, message: _Message, clock: Clock, number: int, promised: int,
                exposures: dict[int, tuple[int, int, int]], following: list[int]

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator
+from functools import cached_property
 from typing import Any
 
 from numpy.typing import NDArray
@@ -113,8 +114,6 @@ class SequentialRecording(PiecewiseRecording):
                 after - self._begin) / (self._end - self._begin)
             at = after
 
-    @property
+    @cached_property
     def _marks(self) -> Marks:
-        if "_made_marks" not in self.__dict__:
-            self._made_marks = Marks(MARK_PLACES)
-        return self._made_marks
+        return Marks(MARK_PLACES)

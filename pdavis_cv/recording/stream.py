@@ -2,19 +2,25 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 
 from pdavis_cv import _kernels
 from pdavis_cv._checks import typed
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE, check_inside, check_order
-from pdavis_cv.recording.base import Packet, Problem, RecordingInfo, Source, check_size
+from pdavis_cv.recording.base import (
+    Packet,
+    PlainSource,
+    RecordingInfo,
+    Source,
+    check_size,
+)
 
 _FIRST = -(2**63)
 """A time in us at or before all stamps."""
 
 
-class StreamSource(Source):
+class StreamSource(PlainSource):
     """A source over an iterable of packets; see `source_from_packets`."""
 
     def __init__(self, info: RecordingInfo, packets: Iterable[Packet]) -> None:
@@ -22,16 +28,6 @@ class StreamSource(Source):
         self._packets, self._iterator = packets, iter(packets)
         self._lock = threading.Lock()
         self._begun = self._closed = False
-
-    @property
-    def info(self) -> RecordingInfo:
-        """Header facts."""
-        return self._info
-
-    @property
-    def problems(self) -> Sequence[Problem]:
-        """Always empty: a packet that breaks the rules raises ValueError."""
-        return ()
 
     def packets(self) -> Iterator[Packet]:
         """Iterate over all packets, once; another call is a RecordingError.

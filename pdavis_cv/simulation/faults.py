@@ -62,9 +62,7 @@ class EventFaults:
     def __init__(self, faults: Faults, seed: int) -> None:
         self.faults, self._seed, self._count = faults, seed, 0
 
-    def pass_on(
-        self, events: Events, start_us: int, stop_us: int
-    ) -> Events:
+    def pass_on(self, events: Events, start_us: int, stop_us: int) -> Events:
         """Apply loss and jitter to the events with start_us <= t <= stop_us."""
         index = np.arange(self._count, self._count + len(events), dtype=np.uint64)
         self._count += len(events)

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,10 +16,10 @@ from pdavis_cv.recording.base import (
     MAX_PACKET_EVENTS,
     ApsFrame,
     Packet,
-    Problem,
+    PlainSource,
     Recording,
-    RecordingInfo,
 )
+from pdavis_cv.recording.packetise import cut
 from pdavis_cv.simulation.aps import FrameClock, make_frame, node_slopes
 from pdavis_cv.simulation.bus import BusState
 from pdavis_cv.simulation.checks import affordable
@@ -50,11 +50,12 @@ class Piece:
     bus_lost: int = 0
 
 
-class SimulatedRecording(Recording):
+class SimulatedRecording(PlainSource, Recording):
     """A recording of a scene that is simulated while it is read (`Camera.stream`).
 
     Each reading simulates it from its start, so memory does not grow with its length.
-    The same camera, scene and run give the same bits.
+    The same camera, scene and run give the same bits.  Its info has no counts, since
+    they are unknown before the simulation.
     """
 
     def __init__(
@@ -80,16 +81,6 @@ class SimulatedRecording(Recording):
         self._info = camera.info(stop_us)
         self._bus: list[tuple[int, float, int]] = []
 
-    @property
-    def info(self) -> RecordingInfo:
-        """Header; counts are None, since they are unknown before the simulation."""
-        return self._info
-
-    @property
-    def problems(self) -> Sequence[Problem]:
-        """Always empty."""
-        return ()
-
     def close(self) -> None:
         """Nothing to release."""
 
@@ -103,7 +94,7 @@ class SimulatedRecording(Recording):
             if piece.stop_us - PIECE_US >= stop:
                 return
             for packet in _packets(piece):
-                kept = _between(packet, start, stop)
+                kept = cut(packet, start, stop)
                 if kept.start_us is not None:
                     yield kept
 
@@ -112,8 +103,7 @@ class SimulatedRecording(Recording):
 
         With a bus, its load and losses are those of the last complete reading.
         """
-        truth = Truth(
-            self.scene, self.camera.size, self.camera.origin, self.stop_us)
+        truth = Truth(self.scene, self.camera.size, self.camera.origin, self.stop_us)
         if self._bus:
             stop, load, lost = zip(*self._bus, strict=True)
             truth.bus_t_us = np.array(stop, np.int64)
@@ -130,8 +120,7 @@ class SimulatedRecording(Recording):
             Events and frames before the end of the recording.
         """
         camera = self.camera
-        clock = None if camera.aps is None else FrameClock(
-            camera.aps, camera.size[1])
+        clock = None if camera.aps is None else FrameClock(camera.aps, camera.size[1])
         bus = None if camera.bus is None else BusState(camera.bus, camera.size)
         pixels = None
         if camera.dvs is not None:
@@ -178,7 +167,11 @@ class SimulatedRecording(Recording):
         rows = [slice(r, min(r + _ROWS, height)) for r in range(0, height, _ROWS)]
         if self.threads == 1 and self.scene.uniform:
             rows = [slice(0, height)]
-        blocks = self._blocks(start)
+        step = PIECE_US / self._intervals
+        size = self._intervals if self.scene.uniform else _INTERVALS
+        # Of nodes that make 10 ms: (start, step, intervals).
+        blocks = [(start + first * step, step, min(size, self._intervals - first))
+                  for first in range(0, self._intervals, size)]
         weights = {} if clock is None else {
             (frame, block): clock.weights(frame, *block)
             for frame in clock.frames(start, start + PIECE_US) for block in blocks}
@@ -210,13 +203,6 @@ class SimulatedRecording(Recording):
 
         found = pool.map(band, rows) if self.threads > 1 else map(band, rows)
         return [events for part in found for events in part]
-
-    def _blocks(self, start: int) -> list[tuple[float, float, int]]:
-        """Return (start, step, intervals) of the blocks of nodes that make 10 ms."""
-        step = PIECE_US / self._intervals
-        size = self._intervals if self.scene.uniform else _INTERVALS
-        return [(start + first * step, step, min(size, self._intervals - first))
-                for first in range(0, self._intervals, size)]
 
     def _light(
         self, block: tuple[float, float, int], rows: slice
@@ -299,10 +285,3 @@ def _packets(piece: Piece) -> Iterator[Packet]:
         part = events if end - at == len(events) else events[at:end].copy()
         yield Packet(part, () if frame is None else (frame,))
         at = end
-
-
-def _between(packet: Packet, start: int, stop: int) -> Packet:
-    lo, hi = np.searchsorted(packet.events["t"], (start, stop))
-    frames = tuple(frame for frame in packet.frames
-                   if start <= frame.available_us < stop)
-    return Packet(packet.events[lo:hi], frames)

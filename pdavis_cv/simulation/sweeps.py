@@ -80,8 +80,7 @@ class MalusSweep(Scene):
     def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
         """S0, S1, S2 in DN per ms."""
         t = same_everywhere(t_us, x, y)
-        angle = self.start_angle + self.step * staircase(
-            t, self.hold_us, self.move_us)
+        angle = self.start_angle + self.step * staircase(t, self.hold_us, self.move_us)
         return polarized(self.s0, self.dolp, angle)
 
     @property

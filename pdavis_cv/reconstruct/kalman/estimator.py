@@ -93,8 +93,7 @@ class KalmanFilter(Reconstructor):
     """
 
     method, cheaper = "kalman", "cf"
-    trials = MappingProxyType({
-        "kalman": {}, "kalman offline": {"mode": "offline"}})
+    trials = MappingProxyType({"kalman": {}, "kalman offline": {"mode": "offline"}})
     needs = Needs(lamp=True, learned=frozenset({"model", "ratio_sigma"}))
     causal_parameters = MappingProxyType({"mode": "causal"})
     margin = WHOLE_SENSOR

@@ -172,15 +172,12 @@ class Saturated:
                 self._make(pixels, light, dim=light < self._half)
             else:
                 self._level = level
-            self._begin_with(frame.mid_us, workers)
-
-    def _begin_with(self, t_us: int, workers: Workers) -> None:
-        """Feed the kept events since the first frame's mid-exposure: it may be late."""
-        early, self._early = self._early, ()
-        if early:
-            since = max(t_us, int(early[-1]["t"][-1]) - EARLY_US)
-            for events in early:
-                self.add_events(events[events["t"] > since], workers)
+            # Feed the kept events since the frame's mid-exposure: it may be late.
+            early, self._early = self._early, ()
+            if early:
+                since = max(frame.mid_us, int(early[-1]["t"][-1]) - EARLY_US)
+                for events in early:
+                    self.add_events(events[events["t"] > since], workers)
 
     def add_events(self, events: Events, workers: Workers) -> None:
         """Take events that follow everything fed before; threads share the work."""

@@ -139,14 +139,12 @@ class Aedat2Writer(RecordingWriter):
                         (base | np.uint32(0x400) | signal.T).ravel())
         self._frame_end_us = int(second.max())
 
-    def _reads(self, frame: ApsFrame
-               ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    def _reads(self, frame: ApsFrame) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
         if frame.reset is not None and frame.signal is not None and (
                 int(frame.reset.max()) <= 1023 and int(frame.signal.max()) <= 1023):
             return frame.reset.astype(np.uint32), frame.signal.astype(np.uint32)
         dn = np.rint(frame.dn).astype(np.int64)
-        valid = (np.ones(frame.shape, np.bool_) if frame.valid is None
-                 else frame.valid)
+        valid = (np.ones(frame.shape, np.bool_) if frame.valid is None else frame.valid)
         low, high = np.where(valid, -639, -1023), np.where(valid, 1020, 1023)
         self._lost["pixels outside the range of the converter were clipped"] += int(
             np.count_nonzero((dn < low) | (dn > high)))

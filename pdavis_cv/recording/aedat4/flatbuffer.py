@@ -42,8 +42,7 @@ class Table:
         except struct.error:
             raise PayloadError(f"it has {len(data)} bytes") from None
         if size > len(data) - 4:
-            raise PayloadError(
-                f"it should hold {size + 4} bytes, but has {len(data)}")
+            raise PayloadError(f"it should hold {size + 4} bytes, but has {len(data)}")
         if found != identifier:
             raise PayloadError(f"it should be {identifier.decode()}, but is {found!r}")
 

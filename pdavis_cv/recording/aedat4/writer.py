@@ -218,8 +218,7 @@ def _compressor(name: str) -> Callable[[Any], bytes]:
     try:
         import zstandard
     except ImportError:
-        raise ImportError(
-            "zstd needs a package: pip install zstandard") from None
+        raise ImportError("zstd needs a package: pip install zstandard") from None
     compressor = zstandard.ZstdCompressor(level=3)
     return lambda data: bytes(compressor.compress(memoryview(data).cast("B")))
 
@@ -330,8 +329,7 @@ def _header(
     compression: str, full_scale_dn: int, source: RecordingInfo | None,
 ) -> bytes:
     """Return the size-prefixed FlatBuffer IOHE of some streams."""
-    code = COMPRESSIONS.index(
-        compression.upper() if compression != "none" else "none")
+    code = COMPRESSIONS.index(compression.upper() if compression != "none" else "none")
     text = _info_node(
         streams, size, layout, camera, COMPRESSIONS[code], full_scale_dn, source
     ).encode()

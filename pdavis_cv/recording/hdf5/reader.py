@@ -56,8 +56,7 @@ def h5py_module() -> Any:
     try:
         import h5py
     except ImportError:
-        raise ImportError("HDF5 needs a package: pip install h5py"
-                          ) from None
+        raise ImportError("HDF5 needs a package: pip install h5py") from None
     return h5py
 
 
@@ -102,7 +101,6 @@ class Hdf5Recording(PiecewiseRecording):
                 return self._make_info(options)
         except _LostError as error:
             raise RecordingError(f"{path}: the file is damaged: {error}") from error
-
 
     # Opening -------------------------------------------------------------------
 

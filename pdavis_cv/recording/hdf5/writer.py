@@ -67,7 +67,6 @@ class _E2p:
         self._valid: Any = None
         self._times: list[tuple[int, int, int, int, int]] = []
         self.lost: Counter[str] = Counter()
-
         self._begin()
 
     def _begin(self) -> None:
@@ -99,8 +98,7 @@ class _E2p:
         if not (isinstance(start, int) and isinstance(end, int)):
             half = round(frame.exposure_ms * 500)
             start, end = frame.mid_us - half, frame.mid_us + half
-        self._times.append(
-            (frame.mid_us, self._count, start, end, frame.available_us))
+        self._times.append((frame.mid_us, self._count, start, end, frame.available_us))
 
     stamps: tuple[str, ...] = ("frame_ts", "frame_idx")
 

@@ -201,8 +201,7 @@ class ImageRecording(FileRecording):
                               "increase and are not used")
         self._fps = Fraction(ASSUMED_FPS) if interval is None else (
             1_000_000 / Fraction(interval).limit_denominator(1_000_000))
-        if self._elapsed is not None or (
-                facts.count is None and interval is not None):
+        if self._elapsed is not None or (facts.count is None and interval is not None):
             return Fact("time stamps", FILE)
         return Fact(float(self._fps), ASSUMED if interval is None else FILE)
 
@@ -281,7 +280,6 @@ class ImageRecording(FileRecording):
             return 0    # their times are known only from reading
         k = int(t_us * self._fps / 1_000_000)
         return k if self._time(k, None) >= t_us else k + 1
-
 
     @property
     def members(self) -> tuple[Member, ...]:

@@ -138,7 +138,6 @@ class ArrayPictures(Pictures):
                 if len(data) < size:
                     raise RecordingError(f"{self._path}: the file ends in image {k}")
                 image = np.frombuffer(data, self._dtype).reshape(self._shape)
-                yield None, (image if image.ndim == 3
-                             else one_plane(image, self._path))
+                yield None, (image if image.ndim == 3 else one_plane(image, self._path))
         finally:
             reader.close()

@@ -154,7 +154,9 @@ class VideoPictures(Pictures):
         """Return the grey plane of a frame, with all its bits."""
         frame = _planar(frame)
         bits = frame.format.components[0].bits
-        planes = [_plane(frame, k) for k in range(len(frame.planes))]
+        kind = "<f4" if "f32" in frame.format.name else "<u2" if bits > 8 else "u1"
+        planes = [np.frombuffer(plane, kind).reshape(plane.height, -1)[:, :plane.width]
+                  for plane in frame.planes]
         if frame.format.name.startswith("gbr"):
             grey = all(np.array_equal(planes[0], plane) for plane in planes[1:3])
         else:
@@ -197,11 +199,3 @@ def _planar(frame: Any) -> Any:
     if len(frame.planes) == 3 and not name.endswith("be"):
         return frame
     return frame.reformat(format="yuv444p16le" if wide else "yuv444p")
-
-
-def _plane(frame: Any, k: int) -> NDArray[Any]:
-    """Return a view of a plane of a planar frame."""
-    plane, bits = frame.planes[k], frame.format.components[0].bits
-    kind = "<f4" if "f32" in frame.format.name else "<u2" if bits > 8 else "u1"
-    rows = np.frombuffer(plane, kind).reshape(plane.height, -1)
-    return rows[:, :plane.width]
