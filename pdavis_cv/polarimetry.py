@@ -265,9 +265,7 @@ class PolarFrame(Advises):
         See `debias_dolp`.  It is half of DoLP where DoLP is much below its noise.
         """
         sigmas = self._propagated()
-        if sigmas is None:
-            return None
-        return frozen(debias_dolp(self.dolp, sigmas[2]))
+        return None if sigmas is None else frozen(debias_dolp(self.dolp, sigmas[2]))
 
     def _planes(
         self,

@@ -427,5 +427,4 @@ def _log(frame: ApsFrame) -> FloatArray:
 
 
 def _linear(place: _Place) -> FloatArray:
-    return ((1 - place.weight) * _log(place.before)
-            + place.weight * _log(place.after))
+    return (1 - place.weight) * _log(place.before) + place.weight * _log(place.after)

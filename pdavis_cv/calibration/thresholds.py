@@ -45,9 +45,8 @@ def thresholds_from_biases(biases: Mapping[str, float]) -> tuple[float, float]:
     try:
         diff, on, off = (float(biases[name]) for name in ("DiffBn", "OnBn", "OffBn"))
     except KeyError as missing:
-        raise ValueError(
-            f"biases must hold DiffBn, OnBn and OffBn, but {missing} is missing"
-        ) from None
+        raise ValueError("biases must hold DiffBn, OnBn and OffBn, but "
+                         f"{missing} is missing") from None
     if not 0 < off < diff < on:
         raise ValueError(
             "bias currents must satisfy 0 < OffBn < DiffBn < OnBn, got "

@@ -64,8 +64,7 @@ def plane(frame: PolarFrame, output: Output) -> NDArray[Any]:
     if len(planes) > 1:
         return np.stack(planes, axis=-1)
     if output.picture and output.quantity.light:
-        part: NDArray[np.float32] = planes[0] * np.float32(1 / output.quantity.range[1])
-        return part
+        return planes[0] * np.float32(1 / output.quantity.range[1])
     return np.array(planes[0])
 
 

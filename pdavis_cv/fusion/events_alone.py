@@ -140,8 +140,7 @@ def ratio_spread(
         sample.pixels] for theta in nominal)
     ratios = [line_ratios(pixel[half], rose[half], on, off) for half in (early, ~early)]
     # Each pixel, and the next of its channel below and to the right.
-    first, second = np.concatenate([
-        data.places[:, [0, 5]], data.places[:, [0, 7]]]).T
+    first, second = np.concatenate([data.places[:, [0, 5]], data.places[:, [0, 7]]]).T
     first, second = first[second >= 0], second[second >= 0]
     difference = np.array([ratio[second] - ratio[first] for ratio in ratios])
     difference = difference[:, np.isfinite(difference).all(0)]

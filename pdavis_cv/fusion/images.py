@@ -153,12 +153,10 @@ class ImageMaker:
         usable: NDArray[np.bool_],
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """Return the four intensities of each pixel and, if known, their variances."""
-        if samples is None:
-            return self._cropped(demosaic_mosaic(
-                intensity, self._layout, self._demosaic, valid=usable)), None
         quad = self._cropped(demosaic_mosaic(
-            intensity, self._layout, self._demosaic, valid=usable,
-            variance=samples))
+            intensity, self._layout, self._demosaic, valid=usable, variance=samples))
+        if samples is None:
+            return quad, None
         variance = self._cropped(demosaic_variance(
             samples, self._layout, self._demosaic, valid=usable))
         if self._spread.size:

@@ -35,7 +35,6 @@ PERCENTILES = (0.5, 99.5)
 they are bright at least."""
 _MOST_SAMPLES = 100_000
 
-
 NONE = 255
 """Value of a pixel without an estimate in a plane."""
 _PARTS = 255    # values 0 .. 254 of a plane
