@@ -168,7 +168,7 @@ def aps_frame(
         raise PayloadError(f"a frame at {times[0]} us")
     usable = raw.pixels < scale.clipped
     kind = np.uint16 if scale.factor >= 1 else np.float32   # integers take less memory
-    dn = raw.pixels * kind(scale.factor)
+    dn = np.multiply(raw.pixels, kind(scale.factor), dtype=kind)
     if (height, width) != size:
         window = np.s_[raw.y:raw.y + height, raw.x:raw.x + width]
         whole, valid = np.zeros(size, kind), np.zeros(size, np.bool_)
