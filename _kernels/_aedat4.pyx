@@ -138,7 +138,7 @@ def aedat4_vector(const uint8_t[::1] data not None, int field, Py_ssize_t item):
 
     Where it has none both are 0; the place is -1 if they lie outside data.
     """
-    return vector(&data[0], data.shape[0], field, item)
+    return vector(&data[0] if data.shape[0] else NULL, data.shape[0], field, item)
 
 
 def aedat4_packets(const uint8_t[::1] block not None, int64_t begin,
@@ -168,7 +168,7 @@ def aedat4_packets(const uint8_t[::1] block not None, int64_t begin,
             at, size = index[number, 0], index[number, 1]
             n = index[number, 2]
             if at - 8 < begin or not 0 < size <= block.shape[0] - (at - begin) or (
-                    n > unpacked.shape[0] // STRIDE):
+                    n >= unpacked.shape[0] // STRIDE):
                 break
             data = &block[at - begin]
             memcpy(&head, data - 8, 8)
