@@ -24,7 +24,7 @@ cdef extern from "_line.h":
 cdef enum:
     MOST_COLUMNS = 16
     FAR_S = 2305843009214       # beyond 1 << 61 us
-    NO_EVENT = -1               # an empty line, a comment, names
+    NO_EVENT = -1               # an empty line, a comment
     BAD = -2
 
 
@@ -206,8 +206,7 @@ cdef inline Py_ssize_t any_line(const uint8_t* source, Py_ssize_t at, Py_ssize_t
     cdef int k
     while blank(source[at]):
         at += 1
-    if source[at] == c'#' or source[at] == c'%' or source[at] >= c'A' or (
-            source[at] == c'\n'):
+    if source[at] == c'#' or source[at] == c'%' or source[at] == c'\n':
         return NO_EVENT
     for k in range(columns):
         if order[k] < 0:
@@ -243,8 +242,8 @@ def text_events(const uint8_t[::1] data not None, Py_ssize_t begin,
     Whole lines only, while out has room.  order says which of t, x, y, p the first
     column of a line is, the second, and so on, -1 for none of these; more whether
     further columns may follow; unit that of times: 0 us, 1 s, 2 ns, 3 ms.  A line
-    without the four numbers is bad, unless it is empty or begins with #, % or a letter;
-    a negative p is OFF.
+    without the four numbers is bad, unless it is empty or begins with # or %; a
+    negative p is OFF.
     """
     cdef Py_ssize_t i = begin, n = data.shape[0], bad = 0, at, k
     cdef Py_ssize_t room = out.shape[0]

@@ -17,7 +17,7 @@ cdef enum:
     ROW = 3
     COLUMN = 4      # where the next vector of EVT3 begins
     POLARITY = 5
-    UNTIMED = 6     # words skipped that no time came before, or of no kind
+    UNTIMED = 6     # words skipped: no time came before, of no kind, or damaged
     TRIGGERS = 7    # external triggers found in this call
     WORD_STATE = 8
 
@@ -100,6 +100,7 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
             if kind == 8:
                 after = after_wrong_time(&words[0], i, n, stream[HIGH])
                 if after:
+                    stream[UNTIMED] += 1
                     for i in range(i + 1, after):
                         stream[UNTIMED] += words[i] >> 28 <= 1
                     i = after
@@ -162,6 +163,11 @@ cdef inline Py_ssize_t single_events(
     return i
 
 
+cdef inline bint is_in(uint16_t word, int kinds) noexcept nogil:
+    """Return whether the kind of a word of EVT3 is one of those, a bit each."""
+    return kinds >> (word >> 12) & 1
+
+
 def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
                Py_ssize_t height, Py_ssize_t width, int64_t[::1] stream not None,
                int64_t[::1] state not None, int64_t[:, ::1] triggers not None,
@@ -217,6 +223,7 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
             elif kind == 8:
                 after = after_wrong_time(&words[0], i, n, at[HIGH])
                 if after:
+                    at[UNTIMED] += 1
                     for i in range(i + 1, after):
                         kind = words[i] >> 12
                         at[UNTIMED] += kind == 2 or kind == 4 or kind == 5
@@ -231,10 +238,14 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
             elif kind == 3:
                 at[COLUMN] = word & 0x7FF
                 at[POLARITY] = word >> 11 & 1
+                # A base that no vector follows, which would change nothing.
+                at[UNTIMED] += i + 1 < n and is_in(words[i + 1], 0b1001101)
             elif kind == 10:
                 if not trigger(at[TIME], word >> 7 & 0x1E | word & 1, triggers, at):
                     break
-            elif kind < 14 and kind != 7:       # no kind at all
+            elif kind == 7 or kind == 15:   # continue others, not events
+                at[UNTIMED] += i > 0 and is_in(words[i - 1], 0b1111101)
+            elif kind < 14:     # no kind at all
                 at[UNTIMED] += 1
             i += 1
     for k in range(STATE):

@@ -246,7 +246,7 @@ def text_rows(lines, order, more=False):
     rows, bad = [], 0
     for line in lines:
         parts = re.sub('[,;"]', " ", line).split()
-        if not parts or parts[0][0] in "#%" or parts[0][0].isalpha():
+        if not parts or parts[0][0] in "#%":
             continue
         values = {}
         for name, part in zip(order, parts, strict=False):

@@ -233,7 +233,7 @@ def test_lines_that_are_not_events_are_counted(tmp_path):
     (tmp_path / "x").write_bytes(b"1 2 3 1\n4 5\n6 7 8 0\nnothing\n9 1 1 -1")
     found, recording = read(tmp_path / "x")
     assert found.tolist() == [(1, 2, 3, 1), (6, 7, 8, 0), (9, 1, 1, 0)]
-    assert {p.kind: p.count for p in recording.problems}["bad line"] == 1
+    assert {p.kind: p.count for p in recording.problems}["bad line"] == 2
     with pytest.raises(ValueError, match="columns must be the letters txyp"):
         open_recording(tmp_path / "x", columns="txy")
     assert main(["info", str(tmp_path / "x"), "--scan"]) == 0
