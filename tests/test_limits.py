@@ -103,6 +103,17 @@ def of_strip(path):
     path.write_bytes(data[:at] + b"\xff" * 4 + data[at + 4:])
 
 
+def of_webp(path):
+    cv2 = pytest.importorskip("cv2")
+    assert cv2.imwrite(str(path), np.zeros((16_000, 16_000), np.uint8), [
+        cv2.IMWRITE_WEBP_QUALITY, 101])
+
+
+def of_another_kind(path):      # a Sun raster, which cv2 would decode
+    path.write_bytes(struct.pack(">8I", 0x59A66A95, 40_000, 40_000, 8, 0, 2, 0, 0)
+                     + b"\x80\xff\0" * 3000)
+
+
 def of_header(path):
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open(
             "t.npy", "w", force_zip64=True) as file:
@@ -177,19 +188,20 @@ def of_hdf5(path):
 BOMBS = {"zstd.aedat4": (of_zstd, "ratio"), "lz4.aedat4": (of_small_packets, "memory"),
          "imu.aedat4": (of_imu, "memory"), "bomb.png": (of_png, "memory"),
          "chunk.png": (of_chunk, "a chunk of 4294967295 bytes in a file of"),
-         "strip.tiff": (of_strip, "memory"),
+         "strip.tiff": (of_strip, "memory"), "large.webp": (of_webp, "memory"),
+         "sun.png": (of_another_kind, "of no kind that is read"),
          "header.npz": (of_header, "a header of 4294967295 bytes"),
          "columns.npz": (of_columns, "ratio"), "bz2.bag": (of_bag, "ratio"),
          "expression.db3": (of_expression, "string or blob too big"),
          "lz4.bag": (lambda path: of_bag(path, b"lz4"), "memory"),
-         "chunk.h5": (of_hdf5, "ratio")}
+         "chunk.h5": (of_hdf5, "memory")}
 READ = """
 import sys, warnings
 import pdavis_cv
 warnings.simplefilter("ignore")
 try:
     with pdavis_cv.open_recording(sys.argv[1], **({"layout": "sony"} if sys.argv[
-            1].endswith(("png", "tiff")) else {})) as recording:
+            1].endswith(("png", "tiff", "webp")) else {})) as recording:
         for _ in recording.packets():
             pass
         recording.events()
@@ -201,7 +213,7 @@ except pdavis_cv.RecordingError as error:
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells it")
 @pytest.mark.parametrize("name", [
-    name if name in ("zstd.aedat4", "chunk.png", "strip.tiff", "chunk.h5",
+    name if name in ("zstd.aedat4", "chunk.png", "strip.tiff", "chunk.h5", "sun.png",
                      "expression.db3") else
     pytest.param(name, marks=pytest.mark.gate) for name in BOMBS])  # long to make
 def test_a_bomb_is_refused_and_takes_no_memory(name, tmp_path):
@@ -213,6 +225,25 @@ def test_a_bomb_is_refused_and_takes_no_memory(name, tmp_path):
     assert said in message
     assert (f"limits=Limits({said}=...)" in message) == (said in ("ratio", "memory"))
     assert int(megabytes) < 100 + 512 + 512
+
+
+@pytest.mark.skipif(not Path("/proc/self/io").exists(), reason="Linux tells it")
+def test_chunks_of_hdf5_are_read_once(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    rng = np.random.default_rng(0)
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        for name, kind in (("t", "i8"), ("x", "u2"), ("y", "u2"), ("p", "u1")):
+            values = np.arange(600_000) if name == "t" else rng.integers(0, 2, 600_000)
+            file.create_dataset(f"events/{name}", data=values.astype(kind),
+                                chunks=(600_000,), compression="gzip")
+
+    def read():
+        return int(Path("/proc/self/io").read_text().split()[1])
+
+    with pdavis_cv.open_recording(tmp_path / "x.h5", sensor_size=(2, 2)) as recording:
+        before = read()
+        assert len(recording.events()) == 600_000
+        assert read() - before <= 2 * (tmp_path / "x.h5").stat().st_size
 
 
 @pytest.mark.parametrize("path", ["/dev/zero", "zeros"])

@@ -341,6 +341,15 @@ def test_evt3_packets_go_on_from_one_to_the_next(bag):
             (t, 4, 3, 1), (t, 5, 3, 0), (t, 7, 3, 0), (t, 9, 3, 0)]
 
 
+def test_words_without_a_time_are_said(bag):
+    words = [3, 0x2004, 0x8001, 0x6005, 0x2004, 0x9000]
+    bag.packet(np.array(words, "<u2").tobytes(), (12, 16), 10_000, "evt3")
+    bag.bag.close()
+    with open_recording(bag.path) as recording:
+        assert len(recording.events()) == 1
+        assert {p.kind: p.count for p in recording.problems} == {"untimed": 2}
+
+
 def test_what_cannot_be_read_is_said(bag, tmp_path):
     bag.packet(b"12345678", (12, 16), 0, "evt4")
     bag.packet(b"12345678", (12, 16), 0, "mono", topic="/other/events", big=True)

@@ -84,10 +84,11 @@ class WordStream:
         self._room = np.empty((_TRIGGER_ROOM, 2), np.int64)
         self.triggers, self._channel, self.other_triggers = self._room[:0], channel, 0
 
-    @property
-    def untimed(self) -> int:
-        """Number of words that were skipped: events of unknown time, no known kind."""
-        return int(self._stream[UNTIMED])
+    def untimed(self) -> tuple[str, int, str]:
+        """Return kind, number and message of words skipped since the last call."""
+        skipped, self._stream[UNTIMED] = int(self._stream[UNTIMED]), 0
+        return "untimed", skipped, (
+            "events were skipped whose time is not known, or damaged")
 
     def room(self, words: NDArray[np.unsignedinteger]) -> int:
         """Return the largest number of events of words, and what the kernel needs."""
@@ -272,11 +273,10 @@ class PropheseeRecording(SequentialRecording):
             t, word = words.reshape(-1, 2).T
             return self._checked(
                 (t.astype(np.int64), *self._places(word)), clock, at, memory), after
-        before, others = state.untimed, state.other_triggers
+        others = state.other_triggers
         events = self._taken(lambda out: state.decode(words, clock.state, out),
                              state.room(words), clock, at, memory)
-        self._count(at, "untimed", state.untimed - before, "events were skipped "
-                    "whose time is not known, or damaged")
+        self._count(at, *state.untimed())
         self._count(at, "other triggers", state.other_triggers - others,
                     OTHER_TRIGGERS.format(self._channel))
         return events, after

@@ -518,6 +518,7 @@ class RosRecording(PiecewiseRecording):
             batch.events = self._taken(
                 lambda out: words.decode(read, clock.state, out), words.room(read),
                 clock, number, memory)
+            self._count(number, *words.untimed())
             t, rising = words.triggers.T
             t = clock.moved(t, before)
         if rising is not None and len(t):

@@ -86,7 +86,9 @@ class Hdf5Recording(PiecewiseRecording):
         self._channel = options.trigger_channel
         try:
             with _reading():
-                self._file = h5py.File(path, "r")
+                # Each chunk is unpacked once, however large.
+                self._file = h5py.File(
+                    path, "r", rdcc_nbytes=int(self._budget.limits.memory) // 8)
         except _LostError as error:
             raise RecordingError(f"{path}: byte 0: HDF5 cannot read it: {error}"
                                  ) from error
@@ -144,8 +146,8 @@ class Hdf5Recording(PiecewiseRecording):
         """Raise RecordingError if a dataset is larger than the budget allows."""
         row = found.dtype.itemsize * math.prod(found.shape[1:])
         chunk = found.dtype.itemsize * math.prod(found.chunks or ())
-        self._budget.piece(
-            max(row, chunk, _PIXEL * math.prod(found.shape[1:])),
+        self._budget.piece(     # four columns keep one chunk each
+            max(row, 4 * chunk, _PIXEL * math.prod(found.shape[1:])),
             f"{name} of shape {found.shape} in chunks {found.chunks}, pieces")
         self._budget.total(row * len(found))
 

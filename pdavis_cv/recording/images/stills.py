@@ -30,6 +30,8 @@ _SIDES = (
     (re.compile(rb"BM.{16}(.{8})", re.DOTALL), "<ii"),
     (re.compile(rb".{,512}ihdr(.{8})", re.DOTALL), ">ii"))
 """Where PNG, BMP and JPEG 2000 state their sides."""
+_WEBP = {b"VP8 ": (26, 16, 14), b"VP8L": (21, 14, 14), b"VP8X": (24, 24, 24)}
+"""Byte of WebP's first side, bits to the second one, and of each, by its kind."""
 _PIXEL = 6
 """Bytes of a pixel of three channels of 16 bits."""
 _FEWEST_COLUMNS = 16
@@ -45,7 +47,7 @@ def is_image_array(start: bytes) -> bool:
 
 
 def _sides(file: BinaryIO) -> tuple[int, int]:
-    """Return two sides that an image states, (0, 0) for WebP, whose sides are short."""
+    """Return two sides that an image states, or more; (0, 0) if it is of no kind."""
     start = file.read(1024)
     for pattern, code in _SIDES:
         if found := pattern.match(start):
@@ -53,6 +55,10 @@ def _sides(file: BinaryIO) -> tuple[int, int]:
             return abs(first), abs(second)
     if found := _PGM.match(start):
         return int(found[1]), int(found[2])
+    if start[8:12] == b"WEBP" and start[12:16] in _WEBP:
+        at, step, bits = _WEBP[start[12:16]]
+        both, mask = int.from_bytes(start[at:at + 6], "little"), (1 << bits) - 1
+        return (both & mask) + 1, (both >> step & mask) + 1
     file.seek(2)
     while start.startswith(_JPEG) and len(head := file.read(4)) == 4:
         if 0xC0 <= head[1] <= 0xCF and head[1] not in (0xC4, 0xC8, 0xCC):
@@ -93,6 +99,9 @@ class StillPicture(Pictures):
             width, height = _sides(file)
             if self._png:
                 _check_chunks(file, self._path)
+        if not width * height:      # cv2 would decode what the name does not say
+            raise RecordingError(
+                f"{self._path}: the image cannot be decoded: of no kind that is read")
         self._budget.piece(_PIXEL * width * height, f"{width}x{height} pixels")
         with readable(self._path, "picture"):
             image = cv2.imread(self._path, cv2.IMREAD_UNCHANGED)
