@@ -331,9 +331,10 @@ class PolarFrame(Advises):
 
     @classmethod
     def _advice(cls, name: str) -> str:
+        from pdavis_cv.quantities import quantity  # it takes images
+
         try:
-            # Through the package's lazy attribute, as `quantities` is in this line.
-            known: str = pdavis_cv.quantities.quantity(name).name
+            known = quantity(name).name
         except ValueError:
             return super()._advice(name)
         if known in ("i0", "i45", "i90", "i135"):

@@ -5,6 +5,8 @@ from pathlib import Path
 
 from homes import HOMES
 
+import pdavis_cv
+
 ROOT = Path(__file__).resolve().parents[1]
 
 LINES = (
@@ -128,3 +130,13 @@ def test_kernels_know_nothing_of_the_library():
         text = path.read_text()
         assert "pdavis_cv" not in text.replace("pdavis_cv._kernels", ""), path
         assert "cimport numpy" not in text, path
+
+
+def test_what_is_asked_of_the_package_by_name_is_public():
+    """An inner module is an attribute only once someone else has imported it."""
+    asked = {(path, node.attr) for path in MODULES for node in ast.walk(TREES[path])
+             if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
+             and node.value.id == "pdavis_cv"}
+    assert len(asked) > 5
+    assert {(path, name) for path, name in asked
+            if name not in pdavis_cv.__all__} == set()

@@ -22,7 +22,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import pdavis_cv.errors
+from pdavis_cv import errors
 from pdavis_cv._remote import is_remote
 from pdavis_cv._workers import deaf
 from pdavis_cv.errors import RecordingError
@@ -41,7 +41,7 @@ _SERVE = ("import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
           "from pdavis_cv.recording.isolated_reader import serve; "
           "serve(*map(int, sys.argv[2:]))")
 _CLASSES: dict[str, Any] = {
-    **{name: kind for name, kind in vars(pdavis_cv.errors).items()
+    **{name: kind for name, kind in vars(errors).items()
        if isinstance(kind, type)},
     "TypeError": TypeError, "ValueError": ValueError, "UserWarning": UserWarning}
 
