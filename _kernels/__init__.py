@@ -29,7 +29,7 @@ _MODULES = {
     "_lamp": "lamp_push lamp_wave",
     "_leaky": "cf_frame cf_frame_authors cf_frame_printed check_events check_times "
               "leak_events leak_read leak_shown mean_around",
-    "_learning": "learning_around learning_means learning_past learning_silences",
+    "_learning": "learning_around learning_past learning_rows learning_silences",
     "_network": "voxel_planes",
     "_picture": "fade_bgr hue_bgr ramp_bgr tone_bgr",
     "_polarization": "aop aop_dolp dolp mix stokes",

@@ -156,9 +156,10 @@ cdef inline double lead_of(double slope, double light,
     if c.hz + kl <= 0.0:
         return 0.0
     u = right / (c.hz + kl)
+    x = u * (1.0 - u * kl / (c.hz + kl))
     if u < 0.02 and u > -0.02:
-        return u * (1.0 - u * kl / (c.hz + kl))
-    u = 0.0
+        return x
+    u = 1.0 if x > 1.0 else -0.5 if x < -0.5 else x
     for _ in range(8):
         x = kl * exp_f(<float>u)
         f = c.hz + x * (1.0 + u)

@@ -135,37 +135,59 @@ cdef inline void counts_at(const past_t* events, int64_t low, int64_t k, int64_t
     out[1] += part[1]
 
 
-def learning_means(const past_t[::1] events not None, const int64_t[::1] start not None,
-                   const int32_t[::1] pixel not None,
-                   const int64_t[:, ::1] span not None,
-                   int64_t ahead, const double[::1] log not None, int samples,
-                   const double[::1] camera not None,
-                   const double[:, ::1] factor not None,
-                   double[:, ::1] out not None):
-    """Average the features over exposures, weighted by light.  (6)
+def learning_rows(const past_t[::1] events not None, const int64_t[::1] start not None,
+                  const int32_t[::1] pixel not None,
+                  const int64_t[:, :, ::1] exposure not None, int64_t ahead,
+                  const double[:, ::1] log not None, int samples,
+                  const double[::1] camera not None,
+                  const double[:, ::1] gains not None,
+                  double[:, ::1] out not None):
+    """Average the features over two exposures, weighted by light.  (6)
 
-    span (3, N) is begin and end of the exposures and the time up to which events are
-    known, at least `ahead` after each sample; log is ln(I + black) of the frame;
-    factor (2, N) is 1 + gain, OFF and ON.  out (N, 14) receives M-, M+, counts by
-    class, h, and the variance of J.
+    exposure (frame, begin and end, N) are times, us; images know events up to `ahead`
+    beyond them, and the first also those of the second.  log (2, N) is ln(I + black) of
+    the frames, gains (2, pixels) those of the pixels, OFF and ON.  out (16, N) receives
+    the differences of both: M-, M+ and counts by class, each times 1 + gain, and h; the
+    variance of J, of both in sum; and the change by OFF and by ON events, without gain.
     """
     cdef Py_ssize_t i, n = pixel.shape[0], pixels = start.shape[0] - 1
     cdef const camera_t* c = camera_of(camera)
     cdef const past_t* all_ = &events[0] if events.shape[0] else NULL
+    cdef double[2][COUNTS + 2] f
+    cdef double off, on
+    cdef int64_t low, high
+    cdef int j
     check_starts(start, events.shape[0])
-    if (samples < 1 or samples > MOST_SAMPLES or span.shape[0] != 3
-            or span.shape[1] != n or log.shape[0] != n or out.shape[0] != n
-            or out.shape[1] != COUNTS + 2 or factor.shape[0] != 2
-            or factor.shape[1] != n):
-        raise ValueError("learning_means: arrays must have one row per pixel")
+    if (samples < 1 or samples > MOST_SAMPLES or exposure.shape[0] != 2
+            or exposure.shape[1] != 2 or exposure.shape[2] != n or log.shape[0] != 2
+            or log.shape[1] != n or out.shape[0] != COUNTS + 4 or out.shape[1] != n):
+        raise ValueError("learning_rows: arrays must have one column per row")
+    if gains.shape[0] != 2 or gains.shape[1] != pixels:
+        raise ValueError("learning_rows: gains must have one column per pixel")
     for i in range(n):
         if pixel[i] < 0 or pixel[i] >= pixels:
-            raise ValueError("learning_means: no such pixel")
+            raise ValueError("learning_rows: no such pixel")
     with nogil:
         for i in range(n):
-            mean_of(all_, start[pixel[i]], start[pixel[i] + 1], span[0, i], span[1, i],
-                    span[2, i], ahead, log[i], samples, c, factor[0, i], factor[1, i],
-                    &out[i, 0])
+            low, high = start[pixel[i]], start[pixel[i] + 1]
+            off, on = 1.0 + gains[0, pixel[i]], 1.0 + gains[1, pixel[i]]
+            mean_of(all_, low, high, exposure[0, 0, i], exposure[0, 1, i],
+                    exposure[1, 1, i] + ahead, ahead, log[0, i], samples, c, off, on,
+                    f[0])
+            mean_of(all_, low, high, exposure[1, 0, i], exposure[1, 1, i], 0, ahead,
+                    log[1, i], samples, c, off, on, f[1])
+            for j in range(COUNTS + 1):
+                f[1][j] -= f[0][j]
+            out[COUNTS, i] = f[1][COUNTS]
+            out[COUNTS + 1, i] = f[0][COUNTS + 1] + f[1][COUNTS + 1]
+            out[COUNTS + 2, i] = c.theta[0] * f[1][0]
+            out[COUNTS + 3, i] = c.theta[1] * f[1][1]
+            out[0, i], out[1, i] = off * f[1][0], on * f[1][1]
+            for j in range(CLASSES):
+                out[COUNTS + 2, i] += c.by_class[0][j] * f[1][2 + j]
+                out[COUNTS + 3, i] += c.by_class[1][j] * f[1][2 + CLASSES + j]
+                out[2 + j, i] = off * f[1][2 + j]
+                out[2 + CLASSES + j, i] = on * f[1][2 + CLASSES + j]
 
 
 cdef inline void mean_of(const past_t* events, int64_t low, int64_t high, int64_t begin,

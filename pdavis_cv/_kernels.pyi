@@ -201,12 +201,12 @@ def learning_around(
     events: NDArray[Any], start: _I64, places: _I32, times: _I64, known: _I64,
     lags: _F64, camera: _F64, out: _F32,
 ) -> None: ...
-def learning_means(
-    events: NDArray[Any], start: _I64, pixel: _I32, span: _I64, ahead: int, log: _F64,
-    samples: int, camera: _F64, factor: _F64, out: _F64,
-) -> None: ...
 def learning_past(
     events: NDArray[Any], start: _I64, first: _I64, camera: _F64,
+) -> None: ...
+def learning_rows(
+    events: NDArray[Any], start: _I64, pixel: _I32, exposure: _I64, ahead: int,
+    log: _F64, samples: int, camera: _F64, gains: _F64, out: _F64,
 ) -> None: ...
 def learning_silences(
     events: NDArray[Any], start: _I64, pixels: _I32, times: _I64, ahead: int,

@@ -167,31 +167,39 @@ def test_counts_between_known_events_equal_their_twin():
     t, sign = past["t"], past["sign"]
     rng = np.random.default_rng(6)
     at = rng.integers(t[0] - 1000, t[-1], 200)
-    out = np.empty((200, 14))
-    span = np.stack([at, at, np.full(200, 1 << 40)]).astype(np.int64)
-    _kernels.learning_means(
-        past, start, np.zeros(200, np.int32), span, 0, np.zeros(200), 1,
-        model.numbers, np.ones((2, 200)), out)
-    np.testing.assert_allclose(
-        out[:, :2], [twin(t, sign, each) for each in at], atol=2e-5)
-    np.testing.assert_allclose(out[:, 12], 0.2 * out[:, :2].sum(1), atol=1e-5)
-    np.testing.assert_allclose(out[-1, 2:12].sum(), sign[t <= at[-1]].sum(), atol=1e-4)
+    then = rng.integers(t[0] - 1000, t[-1], 200)
+    exposure = np.stack([[then, then], [at, at]])
+    out, gains = np.empty((16, 200)), np.array([[0.1], [-0.2]])
+    _kernels.learning_rows(
+        past, start, np.zeros(200, np.int32), exposure, 1 << 40, np.zeros((2, 200)), 1,
+        model.numbers, gains, out)
+    counted = np.array([np.subtract(twin(t, sign, b), twin(t, sign, a))
+                        for a, b in zip(then, at, strict=True)]).T
+    np.testing.assert_allclose(out[:2], (1 + gains) * counted, atol=4e-5)
+    np.testing.assert_allclose(out[14:], 0.2 * counted, atol=1e-5)
+    np.testing.assert_allclose(out[12], 0.2 * out[:2].sum(0), atol=1e-5)
+    for i, (polarity, first) in enumerate(((-1, 2), (1, 7))):
+        own = t[sign == polarity]
+        events = polarity * np.diff(np.searchsorted(own, [then, at], "right"), axis=0)
+        np.testing.assert_allclose(
+            out[first:first + 5].sum(0), (1 + gains[i]) * events[0], atol=1e-4)
 
 
 def test_the_variance_within_an_exposure_is_that_of_its_samples():
     past, start, model = a_pixel()
     begin, end = 100_000, 170_000
-    out = np.empty((1, 14))
-    _kernels.learning_means(
-        past, start, np.zeros(1, np.int32), np.array([[begin], [end], [1 << 40]]), 0,
-        np.zeros(1), 7, model.numbers, np.ones((2, 1)), out)
+    exposure = np.array([[[-1], [-1]], [[begin], [end]]])   # and before all events
+    out = np.empty((16, 1))
+    _kernels.learning_rows(
+        past, start, np.zeros(1, np.int32), exposure, 1 << 40, np.zeros((2, 1)), 7,
+        model.numbers, np.zeros((2, 1)), out)
     t, sign = past["t"], past["sign"]
     j = np.array([0.2 * twin(t, sign, begin + int(70_000 * (i + 0.5) / 7)).sum()
                   for i in range(7)])
     h = np.log(np.exp(j).mean())
-    np.testing.assert_allclose(out[0, 12], h, atol=1e-4)
+    np.testing.assert_allclose(out[12, 0], h, atol=1e-4)
     np.testing.assert_allclose(
-        out[0, 13], np.sum(np.exp(j - h) * (j - h) ** 2) / 7, rtol=1e-3)
+        out[13, 0], np.sum(np.exp(j - h) * (j - h) ** 2) / 7, rtol=1e-3)
 
 
 def test_a_scale_from_events_replaces_what_was_told():

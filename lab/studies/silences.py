@@ -49,17 +49,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         for packet in recording.packets():
             if len(packet.events):
                 sample.add_events(packet.events)
-        data = sample.sampled()
-        past, first = data.events.copy(), np.full(len(data.start) - 1, data.t[0])
-        _kernels.learning_past(past, data.start, first, model.numbers)
+        data = sample.sampled().with_past(model.numbers)
         rng = np.random.default_rng(seed)
         pixels = np.flatnonzero(np.diff(data.start) >= 4).astype(np.int32)
         times = rng.integers(data.t[0], data.t[-1], 200)
         for i, ahead in enumerate(AHEAD_US):
             rows, target = np.zeros((MOST, size)), np.zeros(MOST)
             n = _kernels.learning_silences(
-                past, data.start, rng.permutation(pixels), times, ahead, model.numbers,
-                rows, target)
+                data.events, data.start, rng.permutation(pixels), times, ahead,
+                model.numbers, rows, target)
             if n < 50:
                 continue
             x, weight = rows[:n], min(EVENTS, len(data.t)) / n

@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdavis_cv.pixel.model import GAP_CLASSES, SHORT_US, PixelModel
 from pdavis_cv.pixel.rows import (
@@ -31,7 +30,7 @@ that is the thresholds', which errors of counts would attenuate here."""
 
 
 def further_weights(
-    data: Sampled, past: NDArray[np.void], pairs: Pairs, model: PixelModel,
+    data: Sampled, pairs: Pairs, model: PixelModel,
     gains: Floats, shift_us: float, lookahead_us: int,
 ) -> PixelModel:
     """Return the model with further weights, if they predict pairs left out better.
@@ -42,15 +41,15 @@ def further_weights(
     number = int(pairs.pair.max(initial=-1)) + 1
     if number < 2 * FOLDS:
         return model
-    rows = linearized(data, past, pairs, model, gains, shift_us, lookahead_us)
-    around = around_rows(data, past, pairs, model, shift_us, lookahead_us)
-    x = np.concatenate([rows.feature, around], 1)
+    rows = linearized(data, pairs, model, gains, shift_us, lookahead_us)
+    around = around_rows(data, pairs, model, shift_us, lookahead_us)
+    x = np.concatenate([rows.feature.T, around], 1)
     used = np.any(x != 0, 0)
     first = np.concatenate([each.ravel() for each in (
         model.theta, model.by_class, np.stack([model.own, model.cell, model.near], 1),
         model.cell_now, model.near_now)])
     penalty = _unseen(
-        data, past, pairs, model, gains, shift_us, lookahead_us,
+        data, pairs, model, gains, shift_us, lookahead_us,
         1 / rows.variance(model))
     theta = float(model.theta.mean())
     scale = (x[:, :2] / rows.variance(model)[:, None]).T @ x
@@ -106,7 +105,7 @@ def _better(loss: Floats, other: Floats) -> bool:
 
 
 def _unseen(
-    data: Sampled, past: NDArray[np.void], pairs: Pairs, model: PixelModel,
+    data: Sampled, pairs: Pairs, model: PixelModel,
     gains: Floats, shift_us: float, lookahead_us: int, weight: Floats,
 ) -> Floats:
     """Return the penalty (10) on what weights change within exposures.
@@ -118,8 +117,8 @@ def _unseen(
 
     def there(at: float) -> Floats:
         return np.concatenate([
-            counts_at(data, past, pairs, model, gains, shift_us, lookahead_us, at),
-            around_rows(data, past, pairs, model, shift_us, lookahead_us, at, False),
+            counts_at(data, pairs, model, gains, shift_us, lookahead_us, at).T,
+            around_rows(data, pairs, model, shift_us, lookahead_us, at, False),
         ], 1)
 
     total: Floats = 0.0  # type: ignore[assignment]

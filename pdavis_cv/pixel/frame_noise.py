@@ -1,6 +1,8 @@
 """The noise of a recording's own frames."""
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -57,9 +59,23 @@ def learned_frame_noise(data: Sampled, model: PixelModel) -> PixelModel:
 
 def _fitted(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return least squares of y, none of them negative."""
-    from scipy.optimize import nnls  # it takes a tenth of a second
-
     square = x.T @ x
-    factor = np.linalg.cholesky(square + 1e-12 * np.trace(square) * np.eye(2)).T
-    found: NDArray[np.float64] = nnls(factor, np.linalg.solve(factor.T, x.T @ y))[0]
-    return found + 1e-6
+    return nonnegative(
+        square + 1e-12 * np.trace(square) * np.eye(2), x.T @ y) + 1e-6
+
+
+def nonnegative(
+    square: NDArray[np.float64], right: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return what solves square @ x = right best, none negative: one of all subsets.
+
+    For two or three unknowns; importing SciPy's takes longer than a camera's frames.
+    """
+    best, most = np.zeros(len(right)), 0.0
+    for some in itertools.product((False, True), repeat=len(right)):
+        keep = np.array(some)
+        x = np.linalg.solve(square[np.ix_(keep, keep)], right[keep])
+        if (x >= 0).all() and x @ right[keep] > most:
+            best, most = np.zeros(len(right)), float(x @ right[keep])
+            best[keep] = x
+    return best

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv import _kernels
 from pdavis_cv.pixel import features
 from pdavis_cv.pixel.frame_noise import learned_frame_noise
 from pdavis_cv.pixel.model import SHORT_US, PixelModel, lags_of
@@ -242,10 +241,10 @@ def learn(
     if pairs.whole.mean() > LEAST_WHOLE:
         pairs = pairs.part(pairs.whole)
     fit = _with(fit, dead_s=dead_time(data))
+    data = data.with_past(fit.model.numbers)
     fit = _fitted(data, pairs, priors, fit, before)
     fit = _with(fit, thresholds=fit.model.theta)
-    past = _past(data, fit.model)
-    model = learned_silences(data, past, fit.model.like(prior), lookahead_us)
+    model = learned_silences(data, fit.model.like(prior), lookahead_us)
     known = max(fit.sigmas["off"], fit.sigmas["on"])**-2 - priors.theta_sigma**-2
     if known < LEAST_KNOWN**-2:
         # Frames do not tell events from noise: what was told stays.
@@ -253,22 +252,15 @@ def learn(
         return LearnedPixels(model=model, clock_offset_us=told, gains=gains,
                              sigmas=fit.sigmas, told=True, exposure_ms=ms)
     short = thinned(pairs.part(pairs.short), MOST_FURTHER)
-    model = features.further_weights(data, past, short, model, fit.gains, fit.shift_us,
+    model = features.further_weights(data, short, model, fit.gains, fit.shift_us,
                             lookahead_us)
     if not every.whole.all():
         # Light moves on where events are missing.
-        rows = _rows(data, past, every, _with(fit, noise=model.noise))
+        rows = _rows(data, every, _with(fit, noise=model.noise))
         model = model.replace(noise=fitted_noise(
-            rows, fit.model, _residual(rows, fit.model)))
+            rows, fit.model, rows.residual(fit.model)))
     return LearnedPixels(model=model, clock_offset_us=fit.shift_us, gains=fit.gains,
                          sigmas=fit.sigmas, exposure_ms=ms)
-
-
-def _past(data: Sampled, model: PixelModel) -> NDArray[np.void]:
-    past = data.events.copy()
-    first = np.full(len(data.start) - 1, data.t[0] if len(data.t) else 0, np.int64)
-    _kernels.learning_past(past, data.start, first, model.numbers)
-    return past
 
 
 def _fitted(
@@ -306,7 +298,7 @@ def _fitted(
     starts = [tried(one, (), 2) for one in [*starts[:1], *apart[:1]]]
     likeliest = min([first, *starts], key=lambda one: one.per_row)
     effect = _design_effect(_rows(
-        data, _past(data, likeliest.model), pairs, likeliest), likeliest.model)
+        data, pairs, likeliest), likeliest.model)
     first, *starts = (tried(_changed(one, effect=effect), (), 0)
                       for one in (first, *starts))
     best, law, lag, clock = first, ["f0", "slope"], ["lag"], ["shift", "lag"]
@@ -381,8 +373,8 @@ def _honest(data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit) -> _Fit:
     Errors of counts attenuate thresholds by up to their share in the changes; what (9)
     restores is not known better than that.
     """
-    rows = _rows(data, _past(data, fit.model), pairs, fit)
-    counted = float(np.mean(rows.feature[:, :2].sum(1) ** 2))
+    rows = _rows(data, pairs, fit)
+    counted = float(np.mean(rows.feature[:2].sum(0) ** 2))
     seen = float(np.mean(rows.change**2 - rows.frame_noise)) / float(
         np.mean(priors.theta)) ** 2
     common = (COUNT_NOISE / max(min(counted, seen), 1e-6)) ** 2 + MODEL_ERROR**2
@@ -402,16 +394,16 @@ def _honest(data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit) -> _Fit:
 
 def _losses(data: Sampled, pairs: Pairs, fit: _Fit) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the loss of each row in ln DN, robust from LOSS on; which are steady."""
-    rows = _rows(data, _past(data, fit.model), pairs, fit)
-    error = (_residual(rows, fit.model) * rows.jacobian) ** 2 / (
+    rows = _rows(data, pairs, fit)
+    error = (rows.residual(fit.model) * rows.jacobian) ** 2 / (
         rows.frame_noise * rows.jacobian**2 + LOSS**2)
     return 2 * (np.sqrt(1 + error) - 1), rows.blur < STEADY
 
 
 def _mean_gap(data: Sampled, pairs: Pairs, fit: _Fit) -> float:
     """Return the mean time in which a pixel that moves passes a threshold, us."""
-    rows = _rows(data, _past(data, fit.model), pairs, fit)
-    passed = np.abs(rows.parts[pairs.short]).sum() / float(fit.model.theta.mean())
+    rows = _rows(data, pairs, fit)
+    passed = rows.passed[pairs.short].sum() / float(fit.model.theta.mean())
     return 1e6 * float(pairs.seconds[pairs.short].sum()) / max(float(passed), 1.0)
 
 
@@ -451,34 +443,31 @@ def _descended(
     prior: Mapping[str, _Number] | None = None, steps: int = 1,
 ) -> _Fit:
     """Return the fit after Gauss-Newton steps in the thresholds and `free` numbers."""
-    past = _past(data, fit.model)
     fit = _changed(fit, cost=math.inf)
     best, before = fit, math.inf
     for turn in range(rounds + 1):
-        rows = _rows(data, past, pairs, fit)
+        rows = _rows(data, pairs, fit)
         if turn:
-            fit = _with(fit, noise=fitted_noise(
-                rows, fit.model, _residual(rows, fit.model)))
+            old = fit = _with(fit, noise=fitted_noise(
+                rows, fit.model, rows.residual(fit.model)))
             fit = _with_gains(rows, fit, steps)
-            rows = _rows(data, past, pairs, fit)
+            rows = rows.rescaled((1 + fit.gains) / (1 + old.gains),
+                                 fit.model.theta / old.model.theta)
         fit = _likelihood(rows, fit, priors, free if prior is None else prior)
         if (turn or not rounds) and fit.cost < best.cost:
             best = fit
         if turn == rounds or (turn > 1 and abs(before - fit.cost) < 0.1):
             break
         before = fit.cost
-        fit = _step(data, past, pairs, rows, fit, priors, free)
+        if turn % 2 == 0:       # they change little
+            slopes = _slopes(data, pairs, rows, fit, free)
+        fit = _step(rows, slopes, fit, priors, free)
     return best
 
 
-def _rows(data: Sampled, past: NDArray[np.void], pairs: Pairs, fit: _Fit) -> Rows:
-    return linearized(data, past, pairs, fit.model, fit.gains,
+def _rows(data: Sampled, pairs: Pairs, fit: _Fit) -> Rows:
+    return linearized(data, pairs, fit.model, fit.gains,
                       fit.shift_us + fit.lag_us, EVER_US)
-
-
-def _residual(rows: Rows, model: PixelModel) -> Floats:
-    return rows.change - rows.feature[:, :2] @ model.theta - (
-        rows.feature[:, 2:] @ model.by_class.ravel())
 
 
 def _likelihood(
@@ -486,7 +475,7 @@ def _likelihood(
 ) -> _Fit:
     """Return the fit with its costs."""
     variance = rows.variance(fit.model)
-    residual = _residual(rows, fit.model)
+    residual = rows.residual(fit.model)
     _, cost = robust(residual, variance)
     # Of ln DN: a larger black level makes all changes of ln(I + black) smaller.
     cost = cost + np.log(variance * rows.jacobian**2)
@@ -501,11 +490,11 @@ def _likelihood(
 
 def _design_effect(rows: Rows, model: PixelModel) -> float:
     """Return by how much errors that rows of a pair share exceed independent ones."""
-    f, pair, residual = rows.feature[:, :2], rows.pairs.pair, _residual(rows, model)
+    f, pair, residual = rows.feature[:2], rows.pairs.pair, rows.residual(model)
     k, _ = robust(residual, rows.variance(model))
-    number, information = int(pair.max()) + 1, (f * k[:, None]).T @ f
+    number, information = int(pair.max()) + 1, (f * k) @ f.T
     total = np.stack([
-        np.bincount(pair, k * residual * each, number) for each in f.T], 1)
+        np.bincount(pair, k * residual * each, number) for each in f], 1)
     ridge = 1e-9 * np.trace(information) * np.eye(len(information))
     ratio = np.trace(np.linalg.solve(information + ridge, total.T @ total)) / len(
         information)
@@ -515,11 +504,11 @@ def _design_effect(rows: Rows, model: PixelModel) -> float:
 
 def _with_gains(rows: Rows, fit: _Fit, steps: int) -> _Fit:
     """Return the fit with the pixels' gains, and their spread by steps of EM."""
-    used, pixel = np.unique(rows.pairs.pixel, return_inverse=True)
-    n, (off, on) = len(used), rows.parts.T
-    k, _ = robust(_residual(rows, fit.model), rows.variance(fit.model))
-    residual = _residual(rows, fit.model) + (
-        fit.gains[:, rows.pairs.pixel] * rows.parts.T).sum(0)
+    used, pixel = rows.pairs.by_pixel
+    n, (off, on) = len(used), rows.parts
+    residual = rows.residual(fit.model)
+    k, _ = robust(residual, rows.variance(fit.model))
+    residual += (fit.gains[:, rows.pairs.pixel] * rows.parts).sum(0)
     a, b, c, x, y = (np.bincount(pixel, k * each, n) for each in (
         off * off, off * on, on * on, off * residual, on * residual))
     spread = fit.model.spread
@@ -543,45 +532,52 @@ def _with_gains(rows: Rows, fit: _Fit, steps: int) -> _Fit:
                     of_gains=of_gains)
 
 
-def _step(
-    data: Sampled, past: NDArray[np.void], pairs: Pairs, rows: Rows, fit: _Fit,
-    priors: Priors, free: Mapping[str, _Number],
-) -> _Fit:
-    """Return the fit after one Gauss-Newton step."""
-    model, theta = fit.model, np.array(priors.theta)
-    residual = _residual(rows, model)
-    k, _ = robust(residual, rows.variance(model))
-    columns = [rows.feature[:, :2]]
+def _slopes(
+    data: Sampled, pairs: Pairs, rows: Rows, fit: _Fit,
+    free: Mapping[str, _Number],
+) -> list[Floats]:
+    """Return the derivatives of the changes by each number."""
+    slopes: list[Floats] = []
     for name, one in free.items():
         if name == "lag" and "shift" in free:
-            columns.append(columns[-1])         # frames see the sum of both
+            slopes.append(slopes[-1])           # frames see the sum of both
             continue
         # In ln DN, and back: a larger black level makes all residuals smaller.
         ends = []
         for way in (-1, 1):
             other = one.put(fit, one.get(fit) + way * one.step)
-            there = _rows(data, past, pairs, other)
-            ends.append(_residual(there, other.model) * there.jacobian)
-        slope = (ends[0] - ends[1]) / rows.jacobian / (2 * one.step)
-        columns.append(slope[:, None])
+            there = _rows(data, pairs, other)
+            ends.append(there.residual(other.model) * there.jacobian)
+        slopes.append((ends[0] - ends[1]) / rows.jacobian / (2 * one.step))
+    return slopes
+
+
+def _step(
+    rows: Rows, slopes: list[Floats], fit: _Fit, priors: Priors,
+    free: Mapping[str, _Number],
+) -> _Fit:
+    """Return the fit after one Gauss-Newton step."""
+    model, theta = fit.model, np.array(priors.theta)
+    residual = rows.residual(model)
+    k, _ = robust(residual, rows.variance(model))
     # Counts have errors, which would attenuate the thresholds: their expectation given
     # the residual is taken off on one side of the normal equations.           (9)
-    share = np.abs(rows.parts) / np.maximum(np.abs(rows.parts).sum(1), 1e-9)[:, None]
+    share = np.abs(rows.parts) / np.maximum(rows.passed, 1e-9)
     noise = min(model.noise[1] / float(model.theta.mean()) ** 2, COUNT_NOISE)
-    true = columns[0] + model.theta * noise * share * (residual * k)[:, None]
+    true = rows.feature[:2] + noise * model.theta[:, None] * share * (residual * k)
     effect = fit.effect or _design_effect(rows, fit.model)
-    a = np.concatenate(columns, 1)
-    left = np.concatenate([true, *columns[1:]], 1) * k[:, None]
+    a = np.stack([*rows.feature[:2], *slopes])
+    left = np.stack([*true, *slopes]) * k
     values = [one.get(fit) for one in free.values()]
     to_prior = np.concatenate([theta - model.theta, [
         one.mean - value for one, value in zip(free.values(), values, strict=True)]])
     inverse = 1 / np.concatenate([
         priors.theta_sigma * theta, [one.sigma for one in free.values()]]) ** 2
-    step = np.linalg.solve(left.T @ a / effect + np.diag(inverse),
-                           left.T @ residual / effect + inverse * to_prior)
+    step = np.linalg.solve(left @ a.T / effect + np.diag(inverse),
+                           left @ residual / effect + inverse * to_prior)
     limit = np.concatenate([0.3 * theta, [one.largest for one in free.values()]])
     step *= min(1.0, float(np.min(limit / np.maximum(np.abs(step), 1e-12))))
-    cov = np.linalg.inv((a * k[:, None]).T @ a / effect + np.diag(inverse))
+    cov = np.linalg.inv((a * k) @ a.T / effect + np.diag(inverse))
     sigma = np.sqrt(np.diag(cov))
     for one, value, change in zip(free.values(), values, step[2:], strict=True):
         fit = one.put(fit, float(value + change))

@@ -1,13 +1,15 @@
 """The regression of a recording's increments: frames against what events say."""
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
-from pdavis_cv.pixel.model import SAMPLES, SHORT_US, PixelModel
+from pdavis_cv.pixel.frame_noise import nonnegative
+from pdavis_cv.pixel.model import GAP_CLASSES, SAMPLES, SHORT_US, PixelModel
 from pdavis_cv.pixel.sample import Sampled
 
 Floats = NDArray[np.float64]
@@ -66,12 +68,17 @@ class Pairs:
         return Pairs(self.pixel[keep], pair, self.dn[:, keep], self.ms[:, keep],
                      self.exposure[..., keep], self.short[keep], self.whole[keep])
 
-    @property
+    @cached_property
     def seconds(self) -> Floats:
         """Time between both middles."""
-        first, last = self.exposure.mean(1)
-        seconds: Floats = 1e-6 * (last - first)
+        begin, end = 5e-7 * (self.exposure[1] - self.exposure[0])
+        seconds: Floats = begin + end
         return seconds
+
+    @cached_property
+    def by_pixel(self) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
+        """Pixels that have rows, and which of them each row is of."""
+        return np.unique(self.pixel, return_inverse=True)
 
 
 def pairs_of(data: Sampled, shift_us: float) -> Pairs | None:
@@ -131,11 +138,11 @@ def thinned(pairs: Pairs, most: int) -> Pairs:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """The regression at a model: change = feature @ weights + noise.
+    """The regression at a model: change = weights @ feature + noise.
 
     Parameters
     ----------
-    feature : ndarray of float64, shape (N, 12)
+    feature : ndarray of float64, shape (12, N)
         M-, M+ and counts by class, times 1 + gain.
     change : ndarray of float64, shape (N,)
         Change of ln(I + black), less what depends on the weights beyond that.
@@ -143,7 +150,7 @@ class Rows:
         d ln DN / dJ.
     frame_noise : ndarray of float64, shape (N,)
         Variance of both samples.
-    parts : ndarray of float64, shape (N, 2)
+    parts : ndarray of float64, shape (2, N)
         Change by OFF and ON events.
     blur : ndarray of float64, shape (N,)
         Variance of J within the exposures, of both in sum.
@@ -157,75 +164,92 @@ class Rows:
     blur: Floats
     pairs: Pairs
 
-    def noise_features(self, theta: float) -> Floats:
+    @cached_property
+    def passed(self) -> Floats:
+        """Change by all events, whichever sign each has."""
+        passed: Floats = np.abs(self.parts[0]) + np.abs(self.parts[1])
+        return passed
+
+    def residual(self, model: PixelModel) -> Floats:
+        """Return what a model's weights leave of the changes."""
+        return self.change - weights_of(model) @ self.feature
+
+    def noise_features(self, model: PixelModel) -> Floats:
         """Return the regressors of the variance (8): time, whether and how many."""
-        passed = np.abs(self.parts).sum(1) / theta
-        return np.stack([self.pairs.seconds, np.minimum(passed, 1), passed], 1)
+        passed = self.passed / max(float(model.theta.mean()), 0.05)
+        return np.stack([self.pairs.seconds, np.minimum(passed, 1), passed])
 
     def variance(self, model: PixelModel) -> Floats:
         """Return the variance of each row (8)."""
-        theta = max(float(model.theta.mean()), 0.05)
-        variance: Floats = self.frame_noise + self.noise_features(theta) @ np.array(
-            model.noise)
+        variance: Floats = self.frame_noise + np.array(
+            model.noise) @ self.noise_features(model)
         return variance
+
+    def rescaled(self, of_pixels: Floats, of_all: Floats) -> Rows:
+        """Return the regression at other gains and thresholds, to first order.
+
+        They are those factors times what they were, (2, pixels) of 1 + gain and (2,).
+        """
+        return replace(
+            self, feature=self.feature * of_pixels[:, self.pairs.pixel][OF_SIGN],
+            parts=self.parts * of_all[:, None])
+
+
+OF_SIGN = np.array([0, 1, *[0] * GAP_CLASSES, *[1] * GAP_CLASSES])
+"""Whether a feature counts OFF (0) or ON events."""
+
+
+def weights_of(model: PixelModel) -> Floats:
+    """Return the weights of the features."""
+    return np.concatenate([model.theta, model.by_class.ravel()])
 
 
 def linearized(
-    data: Sampled, past: NDArray[np.void], pairs: Pairs, model: PixelModel,
+    data: Sampled, pairs: Pairs, model: PixelModel,
     gains: Floats, shift_us: float, ahead_us: int = 0,
 ) -> Rows:
     """Return the regression at a model; frames are moved by shift_us."""
-    factor = np.ascontiguousarray(1 + gains[:, pairs.pixel])
     exposure = pairs.exposure + np.int64(round(shift_us))
     long = int((exposure[:, 1] - exposure[:, 0]).max()) > SHORT_US
-    known = exposure[1, 1] + ahead_us
     logs = np.log(np.maximum(pairs.dn / pairs.ms + model.black, 1e-3))
-    means = []
-    for k in (0, 1):
-        out = np.empty((len(pairs.pixel), 14))
-        until = known if k == 0 else np.zeros_like(known)
-        _kernels.learning_means(
-            past, data.start, pairs.pixel, np.ascontiguousarray(np.stack(
-                [*exposure[k], until])), ahead_us, np.ascontiguousarray(logs[k]),
-            SAMPLES if long else 1, model.numbers, factor, out)
-        means.append(out)
-    weights = np.concatenate([model.theta, model.by_class.ravel()])
-    feature = (means[1] - means[0])[:, :12]
-    feature[:, [0, *range(2, 7)]] *= factor[0][:, None]
-    feature[:, [1, *range(7, 12)]] *= factor[1][:, None]
-    h = means[1][:, 12] - means[0][:, 12]
+    out = _of_exposures(data, pairs, exposure, logs, model, gains, ahead_us,
+                        SAMPLES if long else 1)
     mean_dn, mean_ms = np.sqrt(pairs.dn[0] * pairs.dn[1]), pairs.ms.mean(0)
-    off = feature[:, [0, *range(2, 7)]] @ weights[[0, *range(2, 7)]]
-    on = feature[:, [1, *range(7, 12)]] @ weights[[1, *range(7, 12)]]
-    return Rows(feature, logs[1] - logs[0] - h + feature @ weights,
+    return Rows(out[:12], logs[1] - logs[0] - out[12] + weights_of(model) @ out[:12],
                 (mean_dn + model.black * mean_ms) / mean_dn,
-                model.frame_variance(pairs.dn, pairs.ms).sum(0),
-                np.stack([off / factor[0], on / factor[1]], 1),
-                means[0][:, 13] + means[1][:, 13], pairs)
+                model.frame_variance(pairs.dn, pairs.ms).sum(0), out[14:], out[13],
+                pairs)
+
+
+def _of_exposures(
+    data: Sampled, pairs: Pairs, exposure: NDArray[np.int64],
+    logs: Floats, model: PixelModel, gains: Floats, ahead_us: int, samples: int,
+) -> Floats:
+    out = np.empty((16, len(pairs.pixel)))
+    _kernels.learning_rows(
+        data.events, data.start, pairs.pixel, np.ascontiguousarray(exposure), ahead_us,
+        np.ascontiguousarray(logs), samples, model.numbers, gains, out)
+    return out
 
 
 def counts_at(
-    data: Sampled, past: NDArray[np.void], pairs: Pairs, model: PixelModel,
+    data: Sampled, pairs: Pairs, model: PixelModel,
     gains: Floats, shift_us: float, ahead_us: int, at: float,
 ) -> Floats:
     """Return M-, M+ and counts by class, times 1 + gain, in the second exposures.
 
-    at is the part of them that has passed; shape (N, 12).
+    at is the part of them that has passed; shape (12, N).
     """
     begin, end = pairs.exposure[1] + np.int64(round(shift_us))
     t = (begin + at * (end - begin)).astype(np.int64)
-    factor = np.ascontiguousarray(1 + gains[:, pairs.pixel])
-    out = np.empty((len(t), 14))
-    _kernels.learning_means(
-        past, data.start, pairs.pixel, np.stack([t, t, np.zeros_like(t)]), ahead_us,
-        np.zeros(len(t)), 1, model.replace(bandwidth=(0.0, 0.0)).numbers, factor, out)
-    out[:, [0, *range(2, 7)]] *= factor[0][:, None]
-    out[:, [1, *range(7, 12)]] *= factor[1][:, None]
-    return out[:, :12]
+    before = np.full_like(t, data.t[0] - 1)     # the first event
+    return _of_exposures(
+        data, pairs, np.stack([[before, before], [t, t]]), np.zeros((2, len(t))),
+        model.replace(bandwidth=(0.0, 0.0)), gains, ahead_us, 1)[:12]
 
 
 def around_rows(
-    data: Sampled, past: NDArray[np.void], pairs: Pairs, model: PixelModel,
+    data: Sampled, pairs: Pairs, model: PixelModel,
     shift_us: float, ahead_us: int, at: float = 0.5, of_first: bool = True,
 ) -> Floats:
     """Return the features of other times and pixels, shape (N, 6 lags + 4).
@@ -243,8 +267,8 @@ def around_rows(
             + ahead_us)
         out = np.empty((len(times), 6 * len(lags) + 4), np.float32)
         _kernels.learning_around(
-            past, data.start, np.ascontiguousarray(data.places[pairs.pixel]), times,
-            known, lags, model.numbers, out)
+            data.events, data.start, np.ascontiguousarray(data.places[pairs.pixel]),
+            times, known, lags, model.numbers, out)
         outs.append(out.astype(np.float64))
     return outs[0] - outs[1] if of_first else outs[0]
 
@@ -259,16 +283,13 @@ def fitted_noise(
     rows: Rows, model: PixelModel, residual: Floats
 ) -> tuple[float, float, float]:
     """Return alpha, beta, gamma of (8) from squared residuals."""
-    from scipy.optimize import nnls  # it takes a tenth of a second
-
-    x = rows.noise_features(max(float(model.theta.mean()), 0.05))
+    x = rows.noise_features(model)
     excess = np.maximum(np.clip(residual**2, 0, 1) - rows.frame_noise, -0.2)
     weight, noise = np.ones(len(residual)), np.zeros(3)
     for _ in range(4):
-        # Least squares, none negative, by Cholesky's factor of the normal equations.
-        square = (x.T * weight**2) @ x
-        factor = np.linalg.cholesky(square + 1e-9 * np.trace(square) * np.eye(3)).T
-        noise, _ = nnls(factor, np.linalg.solve(factor.T, x.T @ (weight**2 * excess)))
-        weight = 1 / (x @ noise + 0.01 + rows.frame_noise)
+        square = (x * weight**2) @ x.T
+        noise = nonnegative(square + 1e-9 * np.trace(square) * np.eye(3),
+                            x @ (weight**2 * excess))
+        weight = 1 / (noise @ x + 0.01 + rows.frame_noise)
     alpha, beta, gamma = np.maximum(noise, [1e-3, 1e-4, 1e-5])
     return float(alpha), float(beta), float(gamma)

@@ -2,11 +2,12 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv import _kernels
 from pdavis_cv._types import Events, State
 from pdavis_cv.recording.base import ApsFrame
 
@@ -61,7 +62,7 @@ class Sampled:
     frames : list of SampledFrame
         In order of time.
     events : ndarray of PAST_DTYPE, shape (N,)
-        By pixel, then by time; only ``t`` and ``sign`` are set.
+        By pixel, then by time; only ``t`` and ``sign`` are set before `with_past`.
     start : ndarray of int64, shape (K + 1,)
         Index of each pixel's first event, and N.
     pixel : ndarray of int32, shape (N,)
@@ -77,6 +78,16 @@ class Sampled:
     pixel: NDArray[np.int32]
     t: NDArray[np.int64]
     places: NDArray[np.int32]
+
+    def with_past(self, camera: NDArray[np.float64]) -> Sampled:
+        """Return the same, with what the events before say of each; see _learning.pyx.
+
+        camera is `PixelModel.numbers`, of which the dead time counts.
+        """
+        events = self.events.copy()
+        first = np.full(len(self.start) - 1, self.t[0] if len(self.t) else 0, np.int64)
+        _kernels.learning_past(events, self.start, first, camera)
+        return replace(self, events=events)
 
 
 class PixelSample:

@@ -52,7 +52,7 @@ SILENCES, PIXELS = 12_000, 2_000
 
 
 def learned_silences(
-    data: Sampled, past: NDArray[np.void], model: PixelModel, lookahead_us: int
+    data: Sampled, model: PixelModel, lookahead_us: int
 ) -> PixelModel:
     """Return the model with E, B and var(phi) of a recording's own silences.
 
@@ -68,8 +68,8 @@ def learned_silences(
         times = max(20, min(400, 4 * SILENCES // len(pixels)))
         at = np.sort(rng.uniform(data.t[0], data.t[-1], times)).astype(np.int64)
         n = _kernels.learning_silences(
-            past, data.start, pixels, rng.permutation(at), lookahead_us, model.numbers,
-            rows, target)
+            data.events, data.start, pixels, rng.permutation(at), lookahead_us,
+            model.numbers, rows, target)
     rows, target = rows[:n], target[:n]
     if lookahead_us == 0:
         rows[:, half:] = 0          # s = 1: no bow
