@@ -109,6 +109,7 @@ cdef struct node_t:
     int64_t open_t
     int64_t around_t        # the same at the longest lag after its middle
     float open_variance     # thresholds^2, in the middle
+    float middle            # ln of the light in the middle, less `mean`
 
 # A pixel's estimate at the last frame that it has passed.
 cdef struct anchor_t:

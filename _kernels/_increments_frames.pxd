@@ -94,7 +94,7 @@ cdef inline void node_of(const pixel_t* p, const stored_t* store, const frame_t*
     cdef silence_t open_
     cdef int i, j, turn
     node.open_t = NEVER
-    node.open_variance = 0.0
+    node.open_variance = node.middle = 0.0
     look(p, store, end, max(known, end), c, &at)
     if at.last != -NEVER and at.next == NEVER:
         node.open_t = at.last
@@ -144,6 +144,8 @@ cdef inline void node_of(const pixel_t* p, const stored_t* store, const frame_t*
                 u[i] = lead_of(slope[i], max(share, 1e-3), c)
             total += exp_f(<float>(y[i] + u[i] + lit[i] - top))
         level = top + log_f(<float>(total / samples))
+    i = samples // 2
+    node.middle = <float>(y[i] + u[i] + lit[i] - level)
     node.light[0] = node.light[1] = 0.0
     for i in range(samples):
         share = exp_f(<float>(y[i] + u[i] + lit[i] - top)) / total

@@ -83,7 +83,7 @@ def increments_pass(tuple old not None, tuple new not None,
                     bands not None):
     """Let the filter pass a frame: predict from the one before, and update.  (12)
 
-    middles receives ln(I + black) in the mean over the exposure, NaN without a sample.
+    middles receives ln(I + black) in the middle of the exposure, NaN without a sample.
     """
     cdef Py_ssize_t y, x, at, first, last, h = anchors.shape[0], w = anchors.shape[1]
     cdef const camera_t* c = camera_of(camera)
@@ -154,7 +154,7 @@ cdef inline float pass_one(const node_t* old, const node_t* new, float log,
                 a.p[0] += 0.25 * c.beta
             a.p[1] = a.p[2] = a.p[4] = 0.0
             a.p[3] = a.p[5] = c.spread2
-            return a.log
+            return a.log + new.middle
         return NAN
     step = between(old, new, said, seconds, c)
     if variance > 0.0:
@@ -203,7 +203,7 @@ cdef inline float pass_one(const node_t* old, const node_t* new, float log,
     a.p[1] += k0 * k1 / s - k0 * a.p[1] - k1 * p0
     a.p[2] += k0 * k2 / s - k0 * a.p[2] - k2 * p0
     a.p[0] = k0 * r
-    return a.log
+    return a.log if hot else a.log + new.middle
 
 
 cdef inline void bend(double before, double off, double on, double seconds,

@@ -276,3 +276,15 @@ def test_the_ideal_analyser_is_that_of_orthogonal_polarizers_on_the_diagonals():
     for method in (ideal, same):
         fed(method, response)
     np.testing.assert_array_equal(ideal.state()["lasting"], same.state()["lasting"])
+
+
+@pytest.mark.parametrize("options", [{"causal": True}, {}])
+def test_it_is_that_of_the_middle_of_exposures_in_which_the_angle_turns(options):
+    """In 20 ms at 500 RPM the mean light has .83 of the light's degree."""
+    recording, truth = Camera.preset("nominal", seed=1009, size=(12, 12)).record(
+        RotatingPolarizer(rpm=500), 1.2)
+    fusion = fuse(recording, method="kalman", demosaic="superpixel", **options,
+                  times_us=np.arange(600_000, 1_100_000, 10_151))
+    off = [image.dolp - truth.dolp(image.t_us, *np.mgrid[.5:12:2, .5:12:2][::-1])
+           for image in fusion]
+    assert abs(np.mean(off)) < 0.015

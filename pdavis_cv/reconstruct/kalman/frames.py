@@ -15,7 +15,8 @@ _COVARIANCES = 6    # of level and both gains: a triangle of 3 x 3
 
 NODE_DTYPE = np.dtype([
     ("mean", "<f8"), ("light", "<f8", 2), ("open_t", "<i8"),
-    ("around_t", "<i8"), ("open_variance", "<f4")], align=True)
+    ("around_t", "<i8"), ("open_variance", "<f4"), ("middle", "<f4")],
+    align=True)
 ANCHOR_DTYPE = np.dtype([
     ("log", "<f4"), ("gain", "<f4", 2), ("p", "<f4", _COVARIANCES), ("hot", "<f4"),
     ("motion", "<f4"), ("sampled", "<f4"), ("slope", "<f4"), ("bend2", "<f4"),
