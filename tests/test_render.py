@@ -222,6 +222,20 @@ def test_a_sheet_of_panels_holds_the_pictures_and_has_even_sides():
     assert sum(found) == 3
 
 
+@pytest.mark.parametrize("zoom", [1, 2, 3])
+def test_no_text_of_a_wheel_is_cut_or_covers_it(zoom):
+    """OpenCV 4 writes wider than OpenCV 5."""
+    style = render.DARK._replace(zoom=zoom)
+    sheet = render.panel(np.zeros((2, 2, 3), np.uint8), "", legend="aop", style=style)
+    assert not sheet[:, -2:].any()
+    wheel = render.aop_legend(30 * zoom)
+    height, width = wheel.shape[:2]
+    top = 20 * zoom + 2 + 16 * zoom
+    assert any(
+        np.array_equal(sheet[top:top + height, x:x + width][wheel.any(2)],
+                       wheel[wheel.any(2)]) for x in range(sheet.shape[1] - width))
+
+
 def test_without_opencv_the_error_says_how_to_get_it(monkeypatch):
     real = builtins.__import__
 

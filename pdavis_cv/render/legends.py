@@ -295,19 +295,19 @@ def text_width(text: str, zoom: int = 1) -> int:
     return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.42 * zoom, zoom)[0][0])
 
 
-def _line(text: str, style: Style = DARK) -> Picture:
+def _line(text: str, style: Style, left: int = 4) -> Picture:
     zoom = style.zoom
     widest = re.sub(r"\d", "0", text)    # a time that passes leaves the width
-    strip = np.full(
-        (_LINE * zoom, text_width(widest, zoom) + 8 * zoom, 3), style.ground, np.uint8)
-    caption(strip, text, 4 * zoom, 14 * zoom, style.ink, zoom)
+    strip = np.full((_LINE * zoom, text_width(widest, zoom) + (left + 4) * zoom, 3),
+                    style.ground, np.uint8)
+    caption(strip, text, left * zoom, 14 * zoom, style.ink, zoom)
     return strip
 
 
 def _swatch(style: Style) -> Picture:
     """Return the line that explains the mark of pixels that are not valid."""
     zoom = style.zoom
-    strip = stack([_line("     not valid", style)], style=style)
+    strip = _line("not valid", style, 20)
     strip[5 * zoom:15 * zoom, 4 * zoom:14 * zoom] = hatch(
         10, 10).repeat(zoom, axis=0).repeat(zoom, axis=1)
     return strip
@@ -316,7 +316,7 @@ def _swatch(style: Style) -> Picture:
 @functools.lru_cache
 def _aop_strip(kind: str, end: str, style: Style) -> Picture:
     zoom = style.zoom
-    radius, margin = 30 * zoom, 40 * zoom
+    radius, margin = 30 * zoom, 9 * zoom + text_width("0 deg", zoom)
     middle = 16 * zoom + radius
     words = "" if kind == "aop" else f"DoLP 0 .. {end} at the rim"
     strip = np.full(
@@ -324,9 +324,11 @@ def _aop_strip(kind: str, end: str, style: Style) -> Picture:
     strip[16 * zoom:middle, margin:margin + 2 * radius] = aop_legend(
         radius, style.ground, colours="hsv" if kind == "hsv" else "even",
         faded=kind != "aop")
-    for text, x, y in (("180", 12, 46), ("135", 24, 24), ("90", 63, 12),
-                       ("45", 100, 24), ("0 deg", 104, 46)):
-        caption(strip, text, x * zoom, y * zoom, style.ink, zoom)
+    # where each text ends, is centred or begins: the versions of OpenCV differ in width
+    for text, x, y, share in (("180", -6, 46, 1), ("135", 6, 24, 1), ("90", 30, 12, .5),
+                              ("45", 60, 24, 0), ("0 deg", 64, 46, 0)):
+        caption(strip, text, margin + x * zoom - int(share * text_width(text, zoom)),
+                y * zoom, style.ink, zoom)
     lines = [_line(words, style)] if words else []
     return stack([strip, *lines, _swatch(style)], style=style)
 
