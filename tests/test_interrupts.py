@@ -151,6 +151,30 @@ def test_an_interrupt_that_a_destructor_ignores_is_raised_again(
     assert lines == ["pdavis: interrupted; nothing unfinished was left"]
 
 
+def test_what_an_interrupt_leaves_half_made_is_not_reported(capsys, monkeypatch):
+    """As bars of tqdm 4.65 are, which cannot be destroyed."""
+    reported = []
+    monkeypatch.setattr(sys, "unraisablehook", reported.append)
+
+    class HalfMade:
+        def __init__(self):
+            sent(signal.SIGTERM)
+            self.whole = True
+
+        def __del__(self):
+            assert self.whole
+
+    @command
+    def main(argv=None):
+        HalfMade()
+        return 0
+
+    assert main([]) == 130
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["pdavis: interrupted; nothing unfinished was left"]
+    assert not reported
+
+
 def test_what_is_ignored_besides_interrupts_is_reported_as_before(monkeypatch):
     reported = []
     monkeypatch.setattr(sys, "unraisablehook", reported.append)

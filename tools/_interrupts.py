@@ -83,6 +83,10 @@ def _raised_again() -> Iterator[None]:
     sys.unraisablehook = lost.put
     try:
         yield
+    except KeyboardInterrupt as interrupt:
+        import traceback  # no other end needs it
+        traceback.clear_frames(interrupt.__traceback__)  # which destroys what they hold
+        raise
     finally:
         sys.unraisablehook = report
         lost.put(None)
@@ -103,5 +107,5 @@ def _watch(lost: queue.SimpleQueue[Any], report: Callable[[Any], object]) -> Non
             return
         if issubclass(ignored.exc_type, KeyboardInterrupt):
             due = True
-        else:
+        elif not _came:     # after one, what was left half made cannot be destroyed
             report(ignored)
