@@ -159,7 +159,8 @@ class ApsPixel:
             shot = np.sqrt(np.maximum(electrons, 0)) / self.electrons_per_dn
             collected = signal_dn + shot * noise.normal(
                 seed, "photon shot noise", index, frame)
-        collected = np.minimum(collected + maps["dark_dn"], self.full_well_dn)
+        # A float, as NumPy 1 makes objects of a large int.
+        collected = np.minimum(collected + maps["dark_dn"], float(self.full_well_dn))
         full_well_dn = self.full_well_dn - self.black_level_dn
         if self.black_level_dn:
             collected = np.maximum(collected - self.black_level_dn, 0)
