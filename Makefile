@@ -6,7 +6,8 @@
 # make bits: the same images on a CPU without AVX2 and FMA (needs qemu-user).
 # make paper: the paper's figures, quickly, into paper/; make bench: times.
 # make soak MINUTES=40: stream simulated data, watch memory, handles and drift.
-# make oldest, make newest: the tests with the oldest and the newest dependencies.
+# make oldest, make newest: the tests with the oldest and the newest dependencies; also
+#   with ALL=1.
 # make twice: the wheel, built twice, is the same to the bit.
 # Each makes .venv (or its own) first, with any python3 >= 3.11 that it finds.
 
@@ -55,7 +56,7 @@ twice:
 	.ci/twice
 
 oldest newest:
-	.ci/ends $@
+	.ci/ends $@ $(if $(ALL),-m '' tests)
 
 asan tsan: $(SOURCES)
 	.ci/sanitize $@

@@ -7,7 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from cv2_manners import ROWS, kit, outcome
+from cv2_manners import ROWS, VERSION, kit, outcome
+from images import encoded
 
 from pdavis_cv import Layout, VideoCapture
 
@@ -49,18 +50,14 @@ def on_recording(data_dir):
 @pytest.fixture(scope="module")
 def on_mosaic(tmp_path_factory):
     """Ours on a lossless 16-bit mosaic video."""
-    path = tmp_path_factory.mktemp("mosaic") / "clip.mkv"
-    writer = cv2.VideoWriter(
-        str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"FFV1"), 25, (64, 48),
-        [cv2.VIDEOWRITER_PROP_DEPTH, cv2.CV_16U, cv2.VIDEOWRITER_PROP_IS_COLOR, 0])
-    assert writer.isOpened()
-    for k in range(N):
-        writer.write(np.full((48, 64), 2000 * k, np.uint16))
-    writer.release()
+    path = encoded(
+        tmp_path_factory.mktemp("mosaic") / "clip.mkv",
+        [np.full((48, 64), 2000 * k, np.uint16) for k in range(N)], "ffv1", "gray16le")
     return ours(path, path.with_name("missing.mkv"), (48, 64, 3), layout=Layout.SONY)
 
 
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.claim)
+@pytest.mark.parametrize("row", [row for row in ROWS if row.since <= VERSION],
+                         ids=lambda row: row.claim)
 def test_cv2_does_what_the_table_says(row, theirs):
     assert outcome(row.probe, theirs) == row.expected
 
@@ -82,6 +79,7 @@ def test_every_row_has_its_own_claim():
     assert len(claims) == len(set(claims))
 
 
+@pytest.mark.skipif(VERSION < (4, 8), reason="this OpenCV has no stub")
 def test_signatures_are_those_of_cv2():
     """Every call that cv2's stub allows binds to ours, under the same names."""
     stub = ast.parse(Path(cv2.__file__).with_name("__init__.pyi").read_text())

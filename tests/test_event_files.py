@@ -366,27 +366,6 @@ def test_events_of_atis_are_read(tmp_path):
             np.testing.assert_array_equal(recording.events(), events)
 
 
-@pytest.mark.parametrize("name", ["x.es", "evt2.raw", "evt3.raw", "dat1", "dat2",
-                                  "x.csv", "x.aedat4"])
-def test_what_faery_writes_is_read(tmp_path, name):
-    faery = pytest.importorskip("faery")
-    events = some_events(3000, (240, 304))
-    theirs = events.astype(faery.EVENTS_DTYPE)
-    path = tmp_path / name
-    faery.events_stream_from_array(theirs, (304, 240)).to_file(
-        path, **{"dat1": {"version": "dat1", "file_type": "dat"},
-                 "dat2": {"version": "dat2", "file_type": "dat"},
-                 "evt2.raw": {"version": "evt2"}, "evt3.raw": {"version": "evt3"}
-                 }.get(name, {}))
-    expected = events.copy()
-    if name == "x.es":      # which keeps no first time
-        expected["t"] -= events["t"][0]
-    with open_recording(path) as recording:
-        assert recording.info.sensor_size == (240, 304)
-        np.testing.assert_array_equal(recording.events(), expected)
-        assert not recording.problems
-
-
 def test_a_file_that_ends_inside_a_word_is_damaged(tmp_path):
     events = some_events(150)
     (tmp_path / "x.dat").write_bytes(dat_file(events) + b"abc")

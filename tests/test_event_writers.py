@@ -1,4 +1,10 @@
-"""Writers of lists of events: what is written is read again, also by other readers."""
+"""Writers of lists of events: what is written is read again, also by other readers.
+
+What other writers write is in test_event_files.py, but for faery's.
+"""
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from test_aedat4 import assert_same, joined
@@ -127,6 +133,42 @@ def test_without_events_the_file_is_empty(tmp_path, name):
     if name != "x.csv":     # a text of a header only is nothing that is recognized
         with open_recording(tmp_path / name) as again:
             assert len(again.events()) == 0
+
+
+FAERY = {"x.es": {}, "x.csv": {}, "x.aedat4": {}, "evt2.raw": {"version": "evt2"},
+         "evt3.raw": {"version": "evt3"},
+         "dat1": {"version": "dat1", "file_type": "dat"},
+         "dat2": {"version": "dat2", "file_type": "dat"}}
+
+
+@pytest.fixture(scope="module")
+def of_faery(tmp_path_factory):
+    """Return a folder of what faery writes, and the events.
+
+    In a process of its own, as its writer of DAT changes NumPy 1.26's uint8 for all.
+    """
+    pytest.importorskip("faery")
+    folder, events = tmp_path_factory.mktemp("faery"), some_events(3000, (240, 304))
+    np.save(folder / "events.npy", events)
+    subprocess.run([sys.executable, "-P", "-c", f"""
+import faery, numpy
+events = numpy.load("events.npy").astype(faery.EVENTS_DTYPE)
+for name, given in {FAERY}.items():
+    faery.events_stream_from_array(events, (304, 240)).to_file(name, **given)
+"""], cwd=folder, check=True)
+    return folder, events
+
+
+@pytest.mark.parametrize("name", FAERY)
+def test_what_faery_writes_is_read(of_faery, name):
+    path, events = of_faery[0] / name, of_faery[1]
+    expected = events.copy()
+    if name == "x.es":      # which keeps no first time
+        expected["t"] -= events["t"][0]
+    with open_recording(path) as recording:
+        assert recording.info.sensor_size == (240, 304)
+        np.testing.assert_array_equal(recording.events(), expected)
+        assert not recording.problems
 
 
 @pytest.mark.parametrize("name", ["evt3.raw", "evt2.raw", "x.es", "x.csv"])

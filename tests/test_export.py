@@ -4,12 +4,10 @@ import json
 import cv2
 import numpy as np
 import pytest
+from cv2_manners import needs_animations
 
 from pdavis_cv import ApsFrame, export, recording_from_arrays
 from pdavis_cv.events import EVENT_DTYPE
-
-needs_animations = pytest.mark.skipif(
-    not hasattr(cv2, "imencodeanimation"), reason="OpenCV before 4.12")
 
 
 def read_video(path):
@@ -235,3 +233,9 @@ def test_the_unit_of_light_is_what_the_recording_can_tell(frame, unit):
     recording = recording_from_arrays(
         np.zeros(1, EVENT_DTYPE), frame, sensor_size=(4, 4))
     assert export.light_unit(recording) == unit
+
+
+def test_an_opencv_without_animations_is_refused(tmp_path, monkeypatch):
+    monkeypatch.delattr(cv2, "imencodeanimation", raising=False)
+    with pytest.raises(ImportError, match=r"needs OpenCV 4\.12 or later, this is \d"):
+        export.AnimationFile(tmp_path / "x.gif", 25)

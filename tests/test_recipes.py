@@ -2,9 +2,9 @@
 import re
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
+from images import encoded
 
 from pdavis_cv.data import example_recording
 
@@ -20,14 +20,8 @@ PACKAGES = ("imutils", "supervision", "vidgear", "pims", "imageio", "ultralytics
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     (tmp_path / "run.aedat4").symlink_to(example_recording())
-    writer = cv2.VideoWriter(
-        str(tmp_path / "clip.mkv"), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"FFV1"), 25,
-        (80, 64), [cv2.VIDEOWRITER_PROP_DEPTH, cv2.CV_16U,
-                   cv2.VIDEOWRITER_PROP_IS_COLOR, 0])
-    rng = np.random.default_rng(0)
-    for _ in range(4):
-        writer.write(rng.integers(0, 4096, (64, 80), np.uint16))
-    writer.release()
+    encoded(tmp_path / "clip.mkv", np.random.default_rng(0).integers(
+        0, 4096, (4, 64, 80), np.uint16), "ffv1", "gray16le")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

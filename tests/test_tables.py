@@ -59,7 +59,7 @@ def test_jaer_files_have_jaers_header_and_one_region_each(tmp_path, traces):
     header = paths[0].read_text().splitlines()[0]
     assert header == ("lastTimestamp(s),ROINumPixels,f0,f45,f90,f135,AoP(deg),"
                       "AoPStd(deg),DoLP,DoLPStd")
-    table = pandas.read_csv(paths[0])
+    table = pandas.read_csv(paths[0], converters={"f45": float})    # to the bit
     np.testing.assert_array_equal(table["f45"], traces.table["i45"][0])
     np.testing.assert_array_equal(table["ROINumPixels"], 36)
 

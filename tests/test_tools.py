@@ -13,6 +13,7 @@ import time
 import cv2
 import numpy as np
 import pytest
+from cv2_manners import needs_animations
 from streams import random_events
 
 import pdavis_cv
@@ -341,8 +342,8 @@ def test_a_title_that_grows_leaves_the_size_of_a_video(tmp_path):
 
 @pytest.mark.parametrize(("arguments", "images"), [
     (("export", SAMPLE, "-o", "x.npy", "--layout", "pdavis", "--method", "frames"), 4),
-    (("export", SAMPLE, "-o", "x.webp", "--layout", "pdavis", "--method", "frames",
-      "--quantities", "s0"), 4),
+    pytest.param(("export", SAMPLE, "-o", "x.webp", "--layout", "pdavis", "--method",
+                  "frames", "--quantities", "s0"), 4, marks=needs_animations),
     (("convert", SAMPLE, "x.aedat"), None),
     (("simulate", "polarizer", "-o", "x.aedat4", "--seconds", ".1", "--size", "4x4"),
      None)])

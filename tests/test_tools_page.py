@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from cv2_manners import VERSION
 
 import pdavis_cv
 from pdavis_cv import open_recording
@@ -50,6 +51,7 @@ def test_the_commands_of_the_page_run(folder, monkeypatch):
             path for word in shlex.split(line)
             for path in (WHAT_THE_SHELL_FINDS if "*" in word else [word])]
         if command not in RUNS_ON + ELSEWHERE:
-            assert main([command, *arguments]) == 0, line
+            refused = VERSION < (4, 12) and "fused.webp" in arguments    # by OpenCV
+            assert main([command, *arguments]) == 2 * refused, line
             ran.append(command)
     assert len(ran) > 15

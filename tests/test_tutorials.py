@@ -7,7 +7,6 @@ import shutil
 from pathlib import Path
 
 import cv2
-import numpy as np
 import pytest
 
 import pdavis_cv
@@ -16,8 +15,11 @@ from pdavis_cv.tools.main import main
 
 START = Path(__file__).resolve().parents[1] / "docs" / "start"
 PAGES = sorted(START.glob("*.md"))
-FAR = 4.0
-"""Mean difference of grey levels at which a picture shows something else."""
+FAR = 3.0
+"""Mean difference of grey levels at which a picture shows something else.
+
+Of means of 8x8 pixels, as OpenCV and matplotlib write with other fonts by version.
+"""
 
 
 def run(page, folder):
@@ -66,4 +68,6 @@ def test_a_tutorial_runs_and_makes_its_pictures(page, tmp_path, monkeypatch):
     for name in re.findall(r"!\[.*?\]\((.*?)\)", page.read_text()):
         made, shown = cv2.imread(str(tmp_path / name)), cv2.imread(str(START / name))
         assert made.shape == shown.shape, name
-        assert np.abs(made.astype(int) - shown).mean() < FAR, name
+        size = made.shape[1] // 8, made.shape[0] // 8
+        assert cv2.absdiff(*(cv2.resize(one, size, interpolation=cv2.INTER_AREA)
+                             for one in (made, shown))).mean() < FAR, name
