@@ -116,11 +116,11 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_window(
         out[x] = PDAVIS_WINDOW(in[x - 2], in[x - 1], in[x], in[x + 1], in[x + 2]);
 }
 
-/* Apply the window down five rows.  total: sum of w G^2; part: the first fit a, the
-   ratio of a difference to the mean (a_1 in docs/theory/demosaicing.md). */
+/* Apply the window down five rows.  inverse: 1 / sum of w G^2; part: the first fit a,
+   the ratio of a difference to the mean (a_1 in docs/theory/demosaicing.md). */
 PDAVIS_CLONES PDAVIS_UNUSED static void guided_fit(
     const float *const *product, const float *const *power, ptrdiff_t w,
-    float *restrict total, float *restrict part)
+    float *restrict inverse, float *restrict part)
 {
     const float *restrict p0 = product[0], *restrict p1 = product[1];
     const float *restrict p2 = product[2], *restrict p3 = product[3];
@@ -129,8 +129,8 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_fit(
     const float *restrict w2 = power[2], *restrict w3 = power[3];
     const float *restrict w4 = power[4];
     for (ptrdiff_t x = 0; x < w; x++) {
-        total[x] = PDAVIS_WINDOW(w0[x], w1[x], w2[x], w3[x], w4[x]) + 1e-30f;
-        part[x] = PDAVIS_WINDOW(p0[x], p1[x], p2[x], p3[x], p4[x]) / total[x];
+        inverse[x] = 1.0f / (PDAVIS_WINDOW(w0[x], w1[x], w2[x], w3[x], w4[x]) + 1e-30f);
+        part[x] = PDAVIS_WINDOW(p0[x], p1[x], p2[x], p3[x], p4[x]) * inverse[x];
     }
 }
 
@@ -141,7 +141,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_fit(
    relative to the squared mean: that of the difference least disturbed by edges. */
 PDAVIS_CLONES PDAVIS_UNUSED static void guided_refine(
     const float *const *product, const float *const *energy,
-    const float *restrict total, const float *restrict first, float gain, float most,
+    const float *restrict inverse, const float *restrict first, float gain, float most,
     ptrdiff_t w, float *restrict part, float *restrict least)
 {
     const float *restrict p0 = product[0], *restrict p1 = product[1];
@@ -153,9 +153,9 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_refine(
     for (ptrdiff_t x = 0; x < w; x++) {
         float summed = PDAVIS_WINDOW(p0[x], p1[x], p2[x], p3[x], p4[x]);
         float left = PDAVIS_WINDOW(e0[x], e1[x], e2[x], e3[x], e4[x]) + 1e-30f;
-        float step = summed / total[x], explained = summed * step;
+        float step = summed * inverse[x], explained = summed * step;
         float taken = gain * (explained / left);
-        float rest = (left - explained) / total[x];
+        float rest = (left - explained) * inverse[x];
         part[x] = first[x] + (taken < most ? taken : most) * step;
         least[x] = rest < least[x] ? rest : least[x];
     }
@@ -209,8 +209,8 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_row(
         float ax = part_x[x], ay = part_y[x], ad = part_d[x];
         float square_sum = (d0[x] + d2[x]) + 2.0f * d1[x];
         float trusted = (t0[x] + t2[x]) + 2.0f * t1[x];
-        float noisy = noise * (least[x] * (mean[x] * mean[x]));
-        float taken = 1.0f - noisy / (square_sum / trusted + 1e-30f);
+        float noisy = trusted * (noise * (least[x] * (mean[x] * mean[x])));
+        float taken = 1.0f - noisy / (square_sum + 1e-30f * trusted);
         float dn = mean[x] + (taken > 0.0f ? taken : 0.0f) * detail[x];
         float plus = ay + ad, minus = ay - ad;
         to0[x] = dn * ((1.0f + ax) + plus);

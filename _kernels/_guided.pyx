@@ -57,7 +57,7 @@ cdef enum:
     WEIGHTS = 22      # three
     WINDOWED = 31     # five of products and five of powers, windowed along the row
     RESIDUAL = 61     # five of products and five of energies, likewise
-    TOTALS = 91       # three
+    INVERSES = 91     # three
     PARTS = 100       # three
     REFINED = 109     # two
     LEAST = 115       # two
@@ -189,7 +189,7 @@ def guided(const pixel_t[:, ::1] mosaic not None,
                 noise = &variance[f, 0] if known else row[VARIANCE]
                 for k in range(3):
                     five_of(row + WINDOWED + 10 * k, f, h, product, other)
-                    guided_fit(product, other, w, row[TOTALS + 3 * k + f % 3],
+                    guided_fit(product, other, w, row[INVERSES + 3 * k + f % 3],
                                row[PARTS + 3 * k + f % 3])
                     guided_residual(row[DIFFERENCES + 3 * k + f % 3],
                                     row[MEANS + f % 6], row[WEIGHTS + 3 * k + f % 3],
@@ -202,7 +202,7 @@ def guided(const pixel_t[:, ::1] mosaic not None,
                     row[LEAST + f % 2][x] = huge
                 for k in range(3):
                     five_of(row + RESIDUAL + 10 * k, f, h, product, other)
-                    guided_refine(product, other, row[TOTALS + 3 * k + f % 3],
+                    guided_refine(product, other, row[INVERSES + 3 * k + f % 3],
                                   row[PARTS + 3 * k + f % 3], constant.gain,
                                   constant.most, w, row[REFINED + 2 * k + f % 2],
                                   row[LEAST + f % 2])

@@ -100,15 +100,15 @@ def guided(mosaic, layout, clean=None, variance=0, floor=1e-3, across=0.3, gain=
     parts, least = [], F32(1e30)
     for c, w in zip(along, (wx, wy, np.maximum(wx, wy)), strict=True):
         weighted = w * dn
-        total = window(weighted * dn) + tiny
-        part = window(weighted * c) / total
+        inverse = F32(1) / (window(weighted * dn) + tiny)
+        part = window(weighted * c) * inverse
         left = c - part * mean
         energy = (w * left) * left + (weighted * dn) * (F32(9 / 64) * F32(variance))
         summed = window(weighted * left)
-        step, energy = summed / total, window(energy) + tiny
+        step, energy = summed * inverse, window(energy) + tiny
         taken = F32(gain) * (summed * step / energy)
         parts.append(part + np.minimum(taken, F32(most)) * step)
-        least = np.minimum(least, (energy - summed * step) / total)
+        least = np.minimum(least, (energy - summed * step) * inverse)
     ax, ay, ad = parts
     change = (right * ax + down * ay) + right * (down * ad)
     share = F32(1) + change
@@ -116,7 +116,8 @@ def guided(mosaic, layout, clean=None, variance=0, floor=1e-3, across=0.3, gain=
         share * share + additive) - mean
     power, trusted = (binomial(binomial(a, 1), 0) for a in (
         trust * (detail * detail), trust * np.ones_like(own)))
-    taken = F32(1) - F32(noise) * (least * (mean * mean)) / (power / trusted + tiny)
+    taken = F32(1) - trusted * (F32(noise) * (least * (mean * mean))) / (
+        power + tiny * trusted)
     dn = mean + np.maximum(taken, F32(0)) * detail
     plus, minus, one = ay + ad, ay - ad, F32(1)
     cell = (dn * ((one + ax) + plus), dn * ((one - ax) + minus),
