@@ -32,7 +32,7 @@ _MODULES = {
     "_learning": "learning_around learning_past learning_rows learning_silences",
     "_network": "voxel_planes",
     "_picture": "fade_bgr hue_bgr ramp_bgr tone_bgr",
-    "_polarization": "aop aop_dolp dolp mix stokes",
+    "_polarization": "aop dolp mix s0_aop_dolp stokes",
     "_redundancy": "redundancy_read redundancy_sample redundancy_shown "
                    "redundancy_solve saturated_events saturated_fill",
     "_samples": "log_frame",

@@ -123,7 +123,7 @@ def bilinear_weighted(const float[:, ::1] mosaic not None,
     with the three numbers of spread (empty: without it) and `reconcile` with null, but
     row by row, so that intermediate results stay in the cache.  Only rows (first, last)
     are written; scratch is 2 * (w + 32) + 32 floats.  Unless aop and dolp have shape
-    (0, 0), they receive what `aop_dolp` gives with gain.
+    (0, 0), they receive what `s0_aop_dolp` gives with gain.
     """
     cdef weighted_t image
     cdef bint polarizes = aop.shape[0] > 0

@@ -4,6 +4,8 @@ Each colour filter covers 2x2 pixels, which stand behind the four polarizers.
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -98,8 +100,8 @@ def colour_mosaics(
     return out
 
 
-def joint(quads: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return what all colours, (3, 4, H, W), say together of polarization, (4, H, W).
+def joint(quads: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Return what three colours, each (4, H, W), say together of polarization.
 
     The mean of all samples, of which half are green.  Where light is counted in
     electrons, that weights degree and angle of each colour by their inverse variance.

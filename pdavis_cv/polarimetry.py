@@ -80,14 +80,15 @@ class PolarFrame(Advises):
     """
 
     __slots__ = (
-        "_analyser", "_aop_dolp", "_colours", "_origin", "_provenance", "_quad",
-        "_quality", "_reconciled", "_sigmas", "_stokes", "_usable", "_valid",
+        "_analyser", "_aop_dolp", "_colours", "_light", "_origin", "_provenance",
+        "_quad", "_quality", "_reconciled", "_sigmas", "_stokes", "_usable", "_valid",
         "_variance", "extinction_ratio", "frame_us", "t_us")
 
     t_us: int | None
     frame_us: int | None
     extinction_ratio: float | None
-    _quad: NDArray[np.float32]
+    _quad: NDArray[np.float32] | None
+    _light: NDArray[np.float32] | None
     _colours: Mapping[str, Self]
     _quality: NDArray[np.float32] | None
     _reconciled: bool
@@ -138,7 +139,8 @@ class PolarFrame(Advises):
         self._quad, self._reconciled = quad, reconciled
         self._colours = {}
         self._origin = None     # the image whose cached quantities this one uses
-        self._aop_dolp = self._sigmas = self._stokes = self._usable = None
+        self._aop_dolp = self._light = self._sigmas = self._stokes = None
+        self._usable = None
         if quad.ndim != 3 or quad.shape[0] != 4:
             raise ValueError(f"quad must have shape (4, H, W), got {quad.shape}")
         if valid is not None and valid.dtype != np.bool_:
@@ -166,12 +168,15 @@ class PolarFrame(Advises):
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
-        height, width = self._quad.shape[-2:]
+        one = self._colours["green"] if self._quad is None else self
+        height, width = one.quad.shape[-2:]
         return height, width
 
     @property
     def quad(self) -> NDArray[np.float32]:
         """I0, I45, I90, I135; float32, shape (4, H, W)."""
+        if self._quad is None:      # of colours
+            self._quad = frozen(joint([self._colours[name].quad for name in COLOURS]))
         return self._quad
 
     @property
@@ -206,7 +211,7 @@ class PolarFrame(Advises):
     @property
     def s0(self) -> NDArray[np.float32]:
         """Intensity in front of the polarizers; float32, shape (H, W)."""
-        return self._planes()[0]
+        return self._planes()[0] if self._light is None else self._light
 
     @property
     def s1(self) -> NDArray[np.float32]:
@@ -289,8 +294,11 @@ class PolarFrame(Advises):
             aop(s1, s2, angle)
             dolp(s0, s1, s2, degree)
         else:
-            _kernels.aop_dolp(flat(self.quad), stokes_gain(self.extinction_ratio),
-                              angle.reshape(-1), degree.reshape(-1))
+            light = np.empty(self.shape, np.float32)
+            _kernels.s0_aop_dolp(
+                flat(self.quad), stokes_gain(self.extinction_ratio), light.reshape(-1),
+                angle.reshape(-1), degree.reshape(-1))
+            self._light = frozen(light)
         self._aop_dolp = frozen(angle), frozen(degree)
         return self._aop_dolp
 
@@ -307,7 +315,7 @@ class PolarFrame(Advises):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored_frame, (
-            self._quad, self._valid, self.t_us, self.frame_us, self.extinction_ratio,
+            self.quad, self._valid, self.t_us, self.frame_us, self.extinction_ratio,
             self._analyser, self._variance, self._provenance, self._quality,
             self._reconciled), (None, {
                 "_sigmas": None if self._sigmas is None else self._propagated(),
@@ -389,7 +397,8 @@ def adopted_colours(quads: NDArray[np.float32], **about: Any) -> PolarFrame:
 
     It is that of all light, `joint`; its `colours` are those of the three.
     """
-    frame = adopted(joint(quads), **about)
+    frame = adopted(quads[1], **about)
+    frame._quad = None      # made at first use
     frame._colours = MappingProxyType({
         name: adopted(quad, **about)
         for name, quad in zip(COLOURS, quads, strict=True)})

@@ -139,6 +139,7 @@ def test_every_colour_has_its_own_polarization(method):
         one = image.colours[name]
         np.testing.assert_allclose(np.rad2deg(one.aop), aop, atol=0.01)
         np.testing.assert_allclose(one.dolp, dolp, atol=1e-3)
+    assert image.shape == image.colours["red"].shape == shape
     quads = [image.colours[name].quad for name in COLOURS]
     np.testing.assert_allclose(
         image.quad, (quads[0] + 2 * quads[1] + quads[2]) / 4, rtol=1e-6)

@@ -34,6 +34,18 @@ def test_stokes_aop_and_dolp_equal_their_twins(shape):
     assert angle.shape == degree.shape == shape
 
 
+@pytest.mark.parametrize("ratio", [None, 40.0])
+@pytest.mark.parametrize("shape", [(1, 1), (5, 7), (33, 64)])
+def test_what_is_asked_for_first_does_not_matter(shape, ratio):
+    quad = random_quad(shape)
+    names = ("aop", "dolp", "s0", "s1")
+    first, second = (PolarFrame(quad, extinction_ratio=ratio) for _ in range(2))
+    expected = {name: getattr(first, name) for name in names}
+    for name in reversed(names):
+        np.testing.assert_array_equal(getattr(second, name), expected[name])
+        assert not expected[name].flags.writeable
+
+
 def test_aop_is_within_its_accuracy_all_the_way_round():
     turn = np.linspace(-np.pi, np.pi, 400_001)
     for size in (1e-30, 1e-3, 1.0, 1e30):
@@ -437,7 +449,7 @@ def test_the_kernels_check_sizes_themselves():
             (lambda: kernels.stokes(f4, 1.0, f4), "stokes"),
             (lambda: kernels.aop(f4[0], f4[0, :5], f4[0]), "aop"),
             (lambda: kernels.dolp(f4[0], f4[0], f4[0, :5], f4[0]), "dolp"),
-            (lambda: kernels.aop_dolp(f4, 1.0, f4[0], f4[0, :5]), "aop_dolp"),
+            (lambda: kernels.s0_aop_dolp(f4, 1.0, f4[0], f4[0], f4[0, :5]), "s0_aop"),
             (lambda: kernels.mix(f4, f4, f4[:3]), "mix: solution"),
             (lambda: kernels.mix(f4, np.zeros((12, 6), "f4"), f4), "mix: quad")):
         with pytest.raises(ValueError, match=words):

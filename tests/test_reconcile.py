@@ -128,7 +128,8 @@ def test_one_pass_by_rows_equals_one_step_after_another(shape, spread, own_null)
         _kernels.mismatch(quad, *spread, variance)
     _kernels.reconcile(quad, variance, null)
     aop, dolp, got_aop, got_dolp = np.full((4, *shape), np.nan, np.float32)
-    _kernels.aop_dolp(quad.reshape(4, -1), 1.02, aop.ravel(), dolp.ravel())
+    _kernels.s0_aop_dolp(quad.reshape(4, -1), 1.02, np.empty_like(aop).ravel(),
+                         aop.ravel(), dolp.ravel())
     got, got_variance = np.full((2, 4, *shape), np.nan, np.float32)
     middle = shape[0] // 2
     for rows in ((middle, shape[0]), (0, middle)):
