@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 import lazy_loader
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv.errors import PdavisError
 
@@ -121,6 +121,8 @@ class _Names(dict[str, Any]):
 def fits(value: Any, hint: Any) -> bool:
     """Return whether a value is of an annotated type, or may be taken for it."""
     kind, inside = typing.get_origin(hint), typing.get_args(hint)
+    if kind is NDArray:     # since NumPy 2.5 it is a name of its own
+        kind = np.ndarray
     if isinstance(value, np.ndarray) and not value.ndim and isinstance(
             kind, type) and issubclass(kind, Iterable):
         return False        # although it has an __iter__
