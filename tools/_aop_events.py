@@ -95,7 +95,7 @@ def _npy(path: Path, pieces: Iterator[Events], facts: dict[str, Any]) -> int:
     array = io.BytesIO()    # numpy.save does not notice that a disk is full
     np.save(array, together)
     with write_beside(path) as part:
-        part.write_bytes(array.getbuffer())
+        part.write_bytes(array.getvalue())
     export.write_json(path.with_suffix(".npy.json"), {
         **facts, "units": {"t": "us", "x": "pixel", "y": "pixel", "aop": "rad"}})
     return len(together)

@@ -48,10 +48,9 @@ class OneLineParser(argparse.ArgumentParser):
     """An ArgumentParser whose error messages are one line."""
 
     def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
-        value = super()._get_values(action, arg_strings)
-        if value == [] and action.nargs is None:    # of --option=--, in Python 3.11
+        if arg_strings == ["--"] and action.nargs is None:  # of --option=--
             raise argparse.ArgumentError(action, "expected one argument, got '--'")
-        return value
+        return super()._get_values(action, arg_strings)
 
     def error(self, message: str) -> NoReturn:
         """Raise UsageError instead of printing the whole usage."""

@@ -267,7 +267,7 @@ class Calibration:
         buffer = io.BytesIO()
         np.savez_compressed(buffer, head=np.array(json.dumps(head)), **planes)
         with write_beside(path) as part:
-            part.write_bytes(buffer.getbuffer())
+            part.write_bytes(buffer.getvalue())
         return path
 
     @classmethod
