@@ -22,8 +22,8 @@ class Certificates:
         self.folder = folder
         for authority in ("authority", "stranger"):
             openssl("req", "-x509", "-newkey", *CURVE, "-nodes", "-days", "2",
-                    "-subj", f"/CN={authority}", "-keyout", self.key(authority),
-                    "-out", self.pem(authority))
+                    "-subj", f"/CN={authority}", "-addext", "keyUsage=keyCertSign",
+                    "-keyout", self.key(authority), "-out", self.pem(authority))
         self.made("server", "IP:127.0.0.1")
         self.made("client", "DNS:client")
         self.made("elsewhere", "DNS:elsewhere.example")
