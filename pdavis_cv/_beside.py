@@ -149,7 +149,7 @@ class Unfinished:
 
     def discard(self) -> None:
         """Remove what was written, if it has not been renamed."""
-        _remove(self.part)
+        remove(self.part)
         self._place.close()
 
 
@@ -161,13 +161,13 @@ def clear(path: str | os.PathLike[str]) -> None:
     """
     path = Path(os.path.realpath(path))
     for name in _left_behind(os.path.abspath(path.parent)).get(path.stem, ()):
-        _remove(path.with_name(name))
+        remove(path.with_name(name))
 
 
-def _remove(path: Path) -> None:
+def remove(path: Path) -> None:
     """Remove a file or folder if it is there and can be removed."""
     with contextlib.suppress(OSError):
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
+        shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink()
 
 
 @functools.cache   # a series of pictures would list the folder for each picture

@@ -58,6 +58,12 @@ def drawn(text: str) -> str:
     return " " * text.startswith("_") + shown(text).replace("$", r"\$")
 
 
+def page_text(value: Any) -> str:
+    """Return a value as text in a page's elements or attributes."""
+    import html  # slow to import
+    return html.escape(shown(str(value)))
+
+
 def for_script(value: Any) -> str:
     """Return a value as JSON inside a page's script, which no text in it can end."""
     import json  # slow to import

@@ -115,15 +115,27 @@ class Workers:
 
 @contextlib.contextmanager
 def deaf() -> Iterator[None]:
-    """Let processes that the block starts never get Ctrl-C, even while they load."""
+    """Let processes that the block starts never get Ctrl-C, even while they load.
+
+    An interrupt of the block waits for its end: else nobody would know of them.
+    """
     if not hasattr(signal, "pthread_sigmask"):      # Windows
         yield
         return
+    came: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if (
+        threading.current_thread() is threading.main_thread()) else ()
+    handlers = {number: signal.signal(number, lambda number, _: came.append(number))
+                for number in numbers if callable(signal.getsignal(number))}
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for one in came:
+            signal.raise_signal(one)
 
 
 def usable_cores() -> int:

@@ -38,7 +38,7 @@ def writers(folder):
     picture = ("--method", "frames", *layout)
     found = {name: ("export", source, "-o", name, *picture) for name in (
         "x.npy", "x.npz", "x.ome.tif", "x.h5", "x.png", "x.mp4", "x.webm")}
-    for name in ("y.aedat4", "y.aedat", "y.h5"):
+    for name in ("y.aedat4", "y.aedat", "y.h5", "y.mcap", "y.db3"):
         found[name] = ("convert", str(folder / "davis.aedat4"), name)
     found["z.npz"] = ("calibrate", "dark", source, "-o", "z.npz")
     found["z.csv"] = ("score", source, "-o", "z", "--methods", "cf", "--thresholds",

@@ -1,4 +1,5 @@
 """Files that appear under their name only when they are whole."""
+import errno
 import gc
 import inspect
 import os
@@ -336,6 +337,17 @@ def test_a_descriptor_that_was_closed_is_not_written_again(tmp_path):
     assert os.fstat(other).st_size == 0
     os.close(other)
     assert [one.name for one in tmp_path.iterdir()] == ["other"]
+
+
+def test_a_demo_without_room_leaves_no_half_recording(tmp_path, monkeypatch, capsys):
+    def copied(source, path):
+        path.write_bytes(source.read_bytes()[:999])
+        raise OSError(errno.ENOSPC, "full")
+
+    monkeypatch.setattr("shutil.copyfile", copied)
+    assert main(["demo", "-o", str(tmp_path / "demo")]) == 1
+    assert list((tmp_path / "demo").iterdir()) == []
+    assert "fan.aedat4: full" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("failing", ["write", "seek", "readinto", "truncate"])

@@ -536,30 +536,6 @@ def test_a_size_that_is_no_number_and_words_of_no_kind_are_said(
         assert said == {"sensor size": 1, "unknown size": 1, "untimed": 1}
 
 
-@pytest.mark.parametrize(("make", "dtype", "kinds"), [
-    # An event that becomes a time; an event that becomes the base of a vector, and a
-    # time or base that becomes what continues others.
-    (evt2_file, "<u4", [(0, 8)]), (evt3_file, "<u2", [(2, 3), (6, 7), (3, 7)])])
-def test_words_that_become_of_a_kind_that_cannot_be_there_are_said(
-        tmp_path, make, dtype, kinds):
-    events = some_events(200, (20, 30), step=100)
-    head, end, data = make(events, (20, 30)).partition(b"% end\n")
-    words = np.frombuffer(data, dtype)
-    shift = 8 * words.itemsize - 4
-    for old, new in kinds:
-        damaged = [k for k in np.flatnonzero(words >> shift == old)
-                   if 0 < k < len(words) - 9 and words[k - 1] >> shift != 8
-                   and words[k + 1] >> shift != 8]
-        assert damaged
-        for k in damaged[::9]:
-            one = words.copy()
-            one[k] ^= (old ^ new) << shift
-            (tmp_path / "x").write_bytes(head + end + one.tobytes())
-            with open_recording(tmp_path / "x") as recording:
-                recording.events()
-                assert "untimed" in [p.kind for p in recording.problems], (old, new, k)
-
-
 def test_an_array_with_a_pixel_on_no_sensor_is_read(tmp_path):
     events = some_events(200, (200, 300))
     events["x"][40] = 65535

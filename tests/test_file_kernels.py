@@ -6,9 +6,10 @@ import lz4.frame
 import numpy as np
 import pytest
 import reference_files
+from event_bytes import evt2_file, evt3_file
 from streams import random_events
 
-from pdavis_cv import EVENT_DTYPE, _kernels
+from pdavis_cv import EVENT_DTYPE, _kernels, open_recording
 from pdavis_cv.recording.base import TRIGGER_DTYPE
 
 SIZE = (260, 346)
@@ -297,3 +298,32 @@ def test_eight_threads_decode_the_same():
         thread.join()
     for result in results:
         np.testing.assert_array_equal(result, events)
+
+
+@pytest.mark.parametrize(("make", "dtype", "kinds"), [
+    # An event that becomes a time; an event that becomes the base of a vector, and a
+    # time or base that becomes what continues others.
+    (evt2_file, "<u4", [(0, 8)]), (evt3_file, "<u2", [(2, 3), (6, 7), (3, 7)])])
+def test_words_that_become_of_a_kind_that_cannot_be_there_are_said(
+        tmp_path, make, dtype, kinds):
+    rng = np.random.default_rng(0)
+    events = np.zeros(200, EVENT_DTYPE)
+    events["t"], events["p"] = 5000 + 100 * np.arange(200), rng.integers(0, 2, 200)
+    events["x"], events["y"] = rng.integers(0, 30, 200), rng.integers(0, 20, 200)
+    events["t"][100:130] = events["t"][100]     # neighbours, as EVT3 packs them
+    events["x"][100:130], events["y"][100:130] = np.arange(30), 7
+    head, end, data = make(events, (20, 30)).partition(b"% end\n")
+    words = np.frombuffer(data, dtype)
+    shift = 8 * words.itemsize - 4
+    for old, new in kinds:
+        damaged = [k for k in np.flatnonzero(words >> shift == old)
+                   if 0 < k < len(words) - 9 and words[k - 1] >> shift != 8
+                   and words[k + 1] >> shift != 8]
+        assert damaged
+        for k in damaged[::9]:
+            one = words.copy()
+            one[k] ^= (old ^ new) << shift
+            (tmp_path / "x").write_bytes(head + end + one.tobytes())
+            with open_recording(tmp_path / "x") as recording:
+                recording.events()
+                assert "untimed" in [p.kind for p in recording.problems], (old, new, k)

@@ -5,9 +5,11 @@ import subprocess
 import sys
 import time
 import weakref
+from concurrent.futures import ProcessPoolExecutor
 
 import pytest
 
+from pdavis_cv.batch.processes import ProcessPool
 from pdavis_cv.data import example_recording
 from pdavis_cv.recording import sandbox
 from pdavis_cv.tools import _interrupts
@@ -206,3 +208,21 @@ def test_the_end_of_a_terminal_is_an_interrupt_and_ignored_ones_stay(name):
             signal.raise_signal(number)
     finally:
         signal.signal(number, before)
+
+
+def test_an_interrupt_waits_until_the_processes_of_a_pool_have_begun(monkeypatch):
+    begun = []
+
+    def slow(self, *call):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.2)
+        begun.append(call)
+
+    monkeypatch.setattr(ProcessPoolExecutor, "submit", slow)
+    before = signal.signal(signal.SIGTERM, _interrupts._raise)
+    try:
+        with ProcessPool(1) as pool, pytest.raises(KeyboardInterrupt):
+            pool.submit(len, ())
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert begun == [(len, ())]

@@ -7,10 +7,27 @@ import sys
 
 import numpy as np
 import pytest
+from batch_works import Inline
 
 import pdavis_cv
-from pdavis_cv import DamagedFileWarning, RecordingError, export, open_source, serve
-from pdavis_cv._text import MOST_TEXT, Shown, drawn, for_script, shown, table_text
+from pdavis_cv import (
+    DamagedFileWarning,
+    FusionOptions,
+    RecordingError,
+    batch,
+    export,
+    open_source,
+    serve,
+)
+from pdavis_cv._text import (
+    MOST_TEXT,
+    Shown,
+    drawn,
+    for_script,
+    page_text,
+    shown,
+    table_text,
+)
 from pdavis_cv.data import example_recording
 from pdavis_cv.tools import main
 from pdavis_cv.tools._calibration_report import Page, write_report
@@ -81,6 +98,16 @@ def test_a_name_cannot_end_the_script_of_a_page():
     text = for_script([name])
     assert "<" not in text
     assert json.loads(text) == [name]
+
+
+def test_a_page_has_no_control_of_a_name(tmp_path):
+    assert page_text(f"<{HOSTILE}&") == f"&lt;{shown(HOSTILE)}&amp;"
+    table = batch.run([tmp_path / f"{HOSTILE}.aedat4"], FusionOptions(),
+                      tmp_path / "out", executor=Inline())
+    assert len(table.failed) == 1
+    page = (tmp_path / "out" / "index.html").read_text("utf-8")
+    assert not CONTROLS & set(page)
+    assert "RED" in page
 
 
 @pytest.mark.parametrize("port", [-1, 65536, 99999])

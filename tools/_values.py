@@ -127,17 +127,12 @@ def setting(text: str) -> tuple[str, Any]:
     words = {"true": True, "false": False, "none": None}
     if value.lower() in words:
         return name, words[value.lower()]
-    for kind in (int, float, _several):
+    for kind in (int, float, lambda several: tuple(map(float, several.split(",")))):
         try:
             return name, kind(value)
         except ValueError:
             continue
     return name, value
-
-
-def _several(text: str) -> tuple[float, ...]:
-    """Parse numbers separated by commas, as in thresholds=0.29,0.32."""
-    return tuple(float(part) for part in text.split(","))
 
 
 def ratio(text: str) -> float | str:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv import PolarFrame, Recording, aop, export, fuse, render
+from pdavis_cv._beside import write_beside
 from pdavis_cv._opencv import opencv
 from pdavis_cv.analysis import Roi, TraceRecorder, axial_difference
 from pdavis_cv.data import example_recording
@@ -68,7 +69,8 @@ def _shown(args: argparse.Namespace) -> tuple[int, dict[str, Any]]:
     folder.mkdir(parents=True, exist_ok=True)
     kept = {name: folder / f"{name}.aedat4" for name in ("fan", "tendon")}
     for name, path in kept.items():
-        shutil.copyfile(example_recording(name), path)
+        with write_beside(path) as part:
+            shutil.copyfile(example_recording(name), part)
         _say(f"wrote {path}: a simulated recording")
     code = fan_tool.main([
         str(kept["fan"]), "-o", str(folder / "fan.webm"),

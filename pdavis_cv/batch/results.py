@@ -7,11 +7,10 @@ import hashlib
 import json
 import os
 import secrets
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from pdavis_cv._beside import write_beside
+from pdavis_cv._beside import remove, write_beside
 from pdavis_cv._remote import RemotePath, is_remote
 from pdavis_cv._types import Facts
 from pdavis_cv.export.files import write_json
@@ -23,7 +22,6 @@ except ImportError:  # Windows: two runs at the same time may both do a job
     fcntl = None  # type: ignore[assignment]
 
 DONE, FAILED = "done", "failed"
-_BLOCK = 1 << 20
 _TRIES = 10
 
 
@@ -115,7 +113,7 @@ class Results:
     def clean(self, name: str) -> None:
         """Remove the files that a killed process left of a claimed job."""
         for left in self._parts.glob(f"{name}.*"):
-            _remove(left)
+            remove(left)
 
     @contextlib.contextmanager
     def part(self, name: str) -> Iterator[Path]:
@@ -126,7 +124,7 @@ class Results:
         try:
             yield folder
         finally:
-            _remove(folder)
+            remove(folder)
 
     def publish(self, name: str, folder: Path) -> None:
         """Rename a folder from `part` to its final name, replacing an earlier one."""
@@ -141,7 +139,7 @@ class Results:
                     raise
                 continue        # another process has just published this job
             finally:
-                _remove(aside)
+                remove(aside)
             return
         raise OSError(f"{self.out / name}: another process keeps writing it")
 
@@ -186,28 +184,14 @@ class Results:
             known = json.loads(self._read(kept))
             if known["state"] == state:
                 return str(known["sha256"])
+        bytes_of = hashlib.sha256()
         try:
-            found = _digest(files)
+            for path in files:
+                with path.open("rb") as file:
+                    hashlib.file_digest(file, lambda: bytes_of)
         except OSError:
             return f"unread {source}"
+        found = bytes_of.hexdigest()
         with contextlib.suppress(OSError):      # then the next run reads it again
             self._write(kept, {"state": state, "sha256": found})
         return found
-
-
-def _remove(path: Path) -> None:
-    """Remove a file or a folder, if it exists."""
-    if path.is_dir():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        with contextlib.suppress(OSError):
-            path.unlink()
-
-
-def _digest(files: list[Path]) -> str:
-    digest = hashlib.sha256()
-    for path in files:
-        with path.open("rb") as file:
-            while block := file.read(_BLOCK):
-                digest.update(block)
-    return digest.hexdigest()

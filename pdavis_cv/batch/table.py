@@ -1,7 +1,6 @@
 """The table of all jobs, as a sequence of rows, CSV or a web page."""
 from __future__ import annotations
 
-import html
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,6 +10,7 @@ from typing import Any
 
 import pdavis_cv
 from pdavis_cv._beside import write_beside
+from pdavis_cv._text import page_text
 from pdavis_cv.batch.results import DONE, Results
 from pdavis_cv.batch.stored import results_at
 from pdavis_cv.batch.worker import Row
@@ -121,7 +121,7 @@ class Table(Sequence[Row]):
             files("pdavis_cv.batch").joinpath("page.html").read_text("utf-8"))
         shown = [name for name in self.columns if name not in _NOT_SHOWN]
         before, after = template.safe_substitute(
-            columns="".join(f"<th>{html.escape(name)}</th>" for name in shown),
+            columns="".join(f"<th>{page_text(name)}</th>" for name in shown),
             count=len(self), version=pdavis_cv.__version__).split("$rows")
         with write_beside(path) as part, part.open("w", encoding="utf-8") as file:
             file.write(before)
@@ -164,13 +164,9 @@ def _html_row(row: Row, cells: Sequence[Any]) -> str:
     name = row["name"]
     picture = next((file for file in row["files"] if file.endswith(_PICTURE)), None)
     shown = "" if picture is None else (
-        f'<a href="{html.escape(name)}/{html.escape(picture)}"><img loading="lazy" '
-        f'alt="" src="{html.escape(name)}/{html.escape(picture)}"></a>')
-    rest = "".join(f"<td>{html.escape(_text_of(value))}</td>" for value in cells)
+        f'<a href="{page_text(name)}/{page_text(picture)}"><img loading="lazy" '
+        f'alt="" src="{page_text(name)}/{page_text(picture)}"></a>')
+    rest = "".join(f"<td>{page_text(text)}</td>" for text in (
+        "" if one is None else f"{one:.6g}" if isinstance(one, float) else one
+        for one in cells))
     return f'<tr class="{row["state"]}"><td>{shown}</td>{rest}</tr>\n'
-
-
-def _text_of(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    return "" if value is None else str(value)

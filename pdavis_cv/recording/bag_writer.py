@@ -1,11 +1,13 @@
 """ROS 2 bags, in MCAP or sqlite3: messages of events and images, and recordings."""
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
+import sqlite3
 import struct
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
@@ -63,8 +65,20 @@ class Bag:
         self._bag = rosbag2.Writer(
             self._unfinished.part / self.path.stem, version=8, storage_plugin=(
                 kind.SQLITE3 if self.path.suffix == ".db3" else kind.MCAP))
-        with self._unfinished.named():
+        with self._writing():
             self._bag.open()
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Remove what was written if the block fails."""
+        try:
+            with self._unfinished.named():
+                yield
+        except BaseException as error:
+            self.discard()
+            if isinstance(error, sqlite3.Error):
+                raise OSError(f"{self.path}: {error}") from error
+            raise
 
     def put(self, topic: str, kind: str, t_us: int, *, tail: bytes = b"",
             stamp_us: int | None = None, **fields: Any) -> None:
@@ -81,11 +95,11 @@ class Bag:
             fields["header"] = store.types["std_msgs/msg/Header"](
                 stamp=self.time(t_us if stamp_us is None else stamp_us),
                 frame_id=NAMESPACE)
-        if topic not in self._topics:
-            self._topics[topic] = self._bag.add_connection(
-                f"/{NAMESPACE}/{topic}", kind, typestore=store)
         data = bytes(store.serialize_cdr(message(**fields), kind))
-        with self._unfinished.named():
+        with self._writing():
+            if topic not in self._topics:
+                self._topics[topic] = self._bag.add_connection(
+                    f"/{NAMESPACE}/{topic}", kind, typestore=store)
             self._bag.write(self._topics[topic], 1000 * t_us,
                             data[:-4] + tail if tail else data)
         self._counts[topic] += 1
@@ -146,22 +160,24 @@ class Bag:
 
     def close(self) -> None:
         """Complete the bag and give it its name."""
-        with self._unfinished.named():
+        with self._writing():
             self._bag.close()
-        folder = self._bag.path
-        whole = folder / f"{folder.name}{self.path.suffix}"
-        self._unfinished.finish(whole if whole.is_file() else folder)
+            folder = self._bag.path
+            whole = folder / f"{folder.name}{self.path.suffix}"
+            self._unfinished.finish(whole if whole.is_file() else folder)
+        self._unfinished.discard()
+
+    def discard(self) -> None:
+        """Remove what is not complete."""
+        with contextlib.suppress(Exception):    # of a full disk, once more
+            self._bag.abort()
         self._unfinished.discard()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self._bag.abort()
-            self._unfinished.discard()
+        self.close() if kind is None else self.discard()
 
 
 def _words(samples: NDArray[Any], on: NDArray[Any], first_us: int

@@ -121,7 +121,10 @@ def measure(
         always = image.valid.copy() if always is None else always & image.valid
         last = image
     assert always is not None
-    masks = _masks(regions, last)
+    x0, scale = _place(last)
+    origin = x0, int(last.provenance.get("roi", (0, 0))[1])
+    masks = [roi.mask((last.shape[0], last.shape[1]), origin=origin, scale=scale)
+             for roi in regions]
     inside = [mask & always if (mask & always).any() else mask for mask in masks]
     made = [(int(image.t_us or 0), [stokes[:, mask].mean(1) for mask in inside])
             for image, stokes in frames.images(demosaic)]
@@ -135,7 +138,6 @@ def measure(
     for (image, planes), open_us in zip(frames.images(), exposure, strict=True):
         running.add(int(image.t_us or 0), planes, float(open_us), image.valid)
     whole = running.result()
-    x0, scale = _place(last)
     delay = frames.column_s[x0:x0 + always.shape[1] * scale:scale]
     if np.any(delay):
         whole = whole.delayed(delay)
@@ -154,12 +156,6 @@ def _place(image: PolarFrame) -> tuple[int, int]:
     """Return the sensor's column at which an image begins, and pixels per pixel."""
     scale = 2 if image.provenance.get("demosaic") in HALF_SIZE else 1
     return int(image.provenance.get("roi", (0, 0))[0]), scale
-
-
-def _masks(regions: list[analysis.Roi], image: PolarFrame) -> list[NDArray[np.bool_]]:
-    x, y = (int(v) for v in image.provenance.get("roi", (0, 0))[:2])
-    return [roi.mask((image.shape[0], image.shape[1]), origin=(x, y),
-                     scale=_place(image)[1]) for roi in regions]
 
 
 def _errors(

@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import base64
-import html
 import io
 import json
 import os
@@ -14,7 +13,7 @@ import numpy as np
 
 from pdavis_cv import analysis, render
 from pdavis_cv._beside import write_beside
-from pdavis_cv._text import drawn, for_script
+from pdavis_cv._text import drawn, for_script, page_text
 
 from .findings import Findings
 from .results import clock_of, error_of, rounded, rows_of
@@ -51,9 +50,9 @@ def write_report(path: str | os.PathLike[str], found: Findings) -> None:
     parts = [
         "<!doctype html><html lang=en><meta charset=utf-8>",
         f"<title>Tendon report</title><style>{_STYLE}</style>",
-        f"<h1>Loaded sample: {html.escape(name)}</h1>",
-        *(f"<p class=warn>{html.escape(message)}</p>" for message in found.messages),
-        *(f"<p class=warn>{html.escape(text)}</p>" for text in found.facts["assumed"]),
+        f"<h1>Loaded sample: {page_text(name)}</h1>",
+        *(f"<p class=warn>{page_text(message)}</p>" for message in found.messages),
+        *(f"<p class=warn>{page_text(text)}</p>" for text in found.facts["assumed"]),
         "<h2>Load</h2>", _load_table(found),
     ]
     if found.still is not None:
@@ -75,7 +74,7 @@ def write_report(path: str | os.PathLike[str], found: Findings) -> None:
                   "exceeds three standard errors. Coordinates are sensor pixels.</p>",
                   _figure(_maps, found, 3.4)]
     facts = json.dumps(found.facts, indent=1, default=str)
-    parts += ["<h2>Origin</h2>", f"<pre>{html.escape(facts)}</pre></html>"]
+    parts += ["<h2>Origin</h2>", f"<pre>{page_text(facts)}</pre></html>"]
     with write_beside(path) as part:
         part.write_text("\n".join(parts), encoding="utf-8")
 
@@ -110,7 +109,7 @@ def summary(found: Findings) -> tuple[list[str], dict[str, Any]]:
 
 def _table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     def cells(kind: str, row: Sequence[Any]) -> str:
-        return "".join(f"<{kind}>{html.escape(str(v))}</{kind}>" for v in row)
+        return "".join(f"<{kind}>{page_text(v)}</{kind}>" for v in row)
     return ("<table><tr>" + cells("th", header) + "</tr>"
             + "".join(f"<tr>{cells('td', row)}</tr>" for row in rows) + "</table>")
 
