@@ -33,8 +33,8 @@ _MODULES = {
     "_network": "voxel_planes",
     "_picture": "fade_bgr hue_bgr ramp_bgr tone_bgr",
     "_polarization": "aop dolp mix s0_aop_dolp stokes",
-    "_redundancy": "redundancy_read redundancy_sample redundancy_shown "
-                   "redundancy_solve saturated_events saturated_fill",
+    "_redundancy": "redundancy_read redundancy_sample redundancy_solve "
+                   "saturated_events saturated_fill",
     "_samples": "log_frame",
     "_scenes": "analysed fan_stokes plane_waves texture_stokes",
     "_simulate": "pixel_events",

@@ -383,33 +383,6 @@ def redundancy_read(int64_t t, int64_t known, recent not None, model not None,
                                           &states[y, x], passed)
 
 
-def redundancy_shown(const moments_t[:, ::1] moments not None,
-                     float[:, ::1] ratio not None, float[:, ::1] smallest not None):
-    """Write each macropixel's ratio and smallest eigenvalue to its pixels; else 1."""
-    cdef Py_ssize_t h = ratio.shape[0], w = ratio.shape[1], y, x
-    cdef float one, rest
-    if (moments.shape[0] != h // 2 or moments.shape[1] != w // 2
-            or smallest.shape[0] != h or smallest.shape[1] != w):
-        raise ValueError("redundancy_shown: all images must have one shape")
-    with nogil:
-        for y in range(h // 2):
-            for x in range(w // 2):
-                one = moments[y, x].ratio
-                rest = moments[y, x].smallest
-                ratio[2 * y, 2 * x] = one
-                ratio[2 * y, 2 * x + 1] = one
-                ratio[2 * y + 1, 2 * x] = one
-                ratio[2 * y + 1, 2 * x + 1] = one
-                smallest[2 * y, 2 * x] = rest
-                smallest[2 * y, 2 * x + 1] = rest
-                smallest[2 * y + 1, 2 * x] = rest
-                smallest[2 * y + 1, 2 * x + 1] = rest
-        for y in range(h):
-            for x in range(0 if y >= h // 2 * 2 else w // 2 * 2, w):
-                ratio[y, x] = 1.0
-                smallest[y, x] = 1.0
-
-
 def saturated_events(const event_t[::1] events not None,
                      const int32_t[:, ::1] cell_of not None, Py_ssize_t columns,
                      event_t[::1] out not None):

@@ -156,23 +156,6 @@ def test_kernels_refuse_arrays_that_do_not_fit():
                                      out)
 
 
-@pytest.mark.parametrize("shape", [(0, 0), (2, 2), (5, 7)])
-def test_each_pixel_shows_what_is_known_of_its_macropixel(shape):
-    rng = np.random.default_rng(0)
-    moments = np.zeros((shape[0] // 2, shape[1] // 2), MOMENTS_DTYPE)
-    ratio, smallest = np.zeros((2, *shape), np.float32)
-    for name in ("ratio", "smallest"):
-        moments[name] = rng.random(moments.shape)
-    _kernels.redundancy_shown(moments, ratio, smallest)
-    for plane, name in ((ratio, "ratio"), (smallest, "smallest")):
-        want = np.ones(shape, np.float32)
-        for y, x in np.ndindex(*moments.shape):
-            want[2 * y:2 * y + 2, 2 * x:2 * x + 2] = moments[name][y, x]
-        np.testing.assert_array_equal(plane, want)
-    with pytest.raises(ValueError, match="redundancy_shown:"):
-        _kernels.redundancy_shown(moments, ratio, np.zeros((9, 9), np.float32))
-
-
 def test_macropixels_that_are_solved_together_do_not_depend_on_each_other():
     """More than one group, with ones that are dark or have nothing new in between."""
     rng = np.random.default_rng(5)

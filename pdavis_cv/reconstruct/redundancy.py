@@ -251,8 +251,11 @@ class EventRedundancy(Reconstructor):
     def _solution(self) -> NDArray[np.float32]:
         """Each pixel's ratio of the two smallest eigenvalues, and the smallest."""
         if self._solved is None:
-            self._solved = np.empty((2, *self.shape), np.float32)
-            _kernels.redundancy_shown(self._moments, *self._solved)
+            self._solved = np.ones((2, *self.shape), np.float32)
+            rows, columns = (side // 2 * 2 for side in self.shape)
+            for one, name in zip(self._solved, ("ratio", "smallest"), strict=True):
+                for i, j in np.ndindex(2, 2):
+                    one[i:rows:2, j:columns:2] = self._moments[name]
         return self._solved
 
     def add_events(self, events: Events) -> None:
