@@ -13,7 +13,7 @@ _MODULES = {
     "_clock": "cells settle",
     "_colours": "colour_means smooth",
     "_davis_usb": "davis_words",
-    "_degree": "degree_frame lasting_degree",
+    "_degree": "lasting_degree",
     "_demosaic": "bilinear bilinear_variance bilinear_weighted binned reached",
     "_denoise": "denoise_events denoise_rates",
     "_elementwise": "exp least_squares mismatch reconcile",

@@ -70,26 +70,6 @@ PDAVIS_INLINE void from_places(
     }
 }
 
-/* Degree of polarization of n macropixels, from log intensities; NaN without light. */
-PDAVIS_CLONES PDAVIS_UNUSED static void find_degree(cells_t *restrict g, ptrdiff_t n)
-{
-    ptrdiff_t i;
-    for (i = 0; i < n; i++) {
-        float s0 = 0.0f, s1 = 0.0f, s2 = 0.0f, whole = 0.0f;
-        int k;
-        for (k = 0; k < 4; k++) {
-            float q = pd_exp(g->log[k][i]);
-            s0 += PDAVIS_S(0) * q;
-            s1 += PDAVIS_S(1) * q;
-            s2 += PDAVIS_S(2) * q;
-            whole += g->log[k][i];
-        }
-        s1 = sqrtf(s1 * s1 + s2 * s2) / (s0 > NO_LIGHT ? s0 : NO_LIGHT);
-        /* pd_exp takes NaN for a number. */
-        g->degree[i] = s0 > NO_LIGHT && whole == whole ? s1 : NAN;
-    }
-}
-
 /* Change the log intensities of n macropixels, in proportion to S1 and S2, so that the
    degree of polarization becomes the mean of its own and the one that lasts, weighted by
    their inverse variances.  Those without a share stay as they are. */

@@ -232,25 +232,6 @@ def test_the_kernel_refuses_what_does_not_fit(change, message):
         _kernels.lasting_degree(**given | change)
 
 
-@pytest.mark.parametrize("change", [
-    {"log": np.zeros((5, 8), np.float32)}, {"before": np.zeros((8, 3, 5), np.float32)},
-    {"planes": np.zeros((5, 3, 4), np.float32)},
-    {"scratch": np.zeros((3, 3, 4), np.float32)},
-    {"lasting": np.zeros((3, 3, 5), np.float32)},
-    {"analyser": np.zeros((24, 2, 1), np.float32)}])
-def test_the_kernel_of_frames_refuses_what_does_not_fit(change):
-    given = {"log": np.zeros((6, 8), np.float32),
-             "analyser": np.zeros((24, 1, 1), np.float32),
-             "constants": (10.0, 2.0, 0.01, 100.0),
-             "before": np.zeros((8, 3, 4), np.float32),
-             "planes": np.zeros((8, 3, 4), np.float32),
-             "scratch": np.zeros((3, 5, 4), np.float32),
-             "lasting": np.zeros((3, 3, 4), np.float32)}
-    _kernels.degree_frame(**given)
-    with pytest.raises(ValueError, match="must"):
-        _kernels.degree_frame(**given | change)
-
-
 @pytest.mark.gate
 def test_a_polarizer_before_a_camera_that_loses_events_has_the_degree_of_frames(
         monkeypatch):

@@ -1,6 +1,8 @@
 """The degree of polarization that lasts from frame to frame."""
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,8 +32,8 @@ polarizers: 5 raises the error of its moving pixels by 0.1 %, 10 by less than 0.
 _CELL_NS = 9
 """Time that a macropixel takes in an image, ns."""
 
-_PLANES = 8
-"""Of `_kernels.degree_frame`: mean, frames in it, last error, sums and numbers."""
+_MEMORIES = (FRAMES,) * 3 + (LATE_FRAMES,) * 2
+"""Of the sums over neighbours in `LastingDegree._planes`."""
 
 
 class LastingDegree:
@@ -58,8 +60,10 @@ class LastingDegree:
         self, shape: tuple[int, int], response: NDArray[np.float64] | None,
     ) -> None:
         size = tuple(side // 2 for side in shape)
-        self._planes = np.zeros((_PLANES, *size), np.float32)
-        self._scratch = np.zeros((3, size[0] + 2, size[1]), np.float32)
+        # Mean, frames in it, error of its last prediction; over neighbours, products of
+        # errors that follow each other, squared errors and their number, and these two
+        # with the short memory.
+        self._planes = np.zeros((3 + len(_MEMORIES), *size), np.float32)
         # Degree, variance and share, as `_kernels.lasting_degree` takes them.
         self._lasting = np.zeros((3, *size), np.float32)
         if response is None:
@@ -85,12 +89,34 @@ class LastingDegree:
         log : ndarray of float32, shape (H, W)
             NaN where a pixel has no usable sample.
         """
+        if not self._lasting.size:
+            return
+        light = np.exp([log[place] for place in _places(log.shape)])
+        solution = self._analyser[:12].reshape(4, 3, *self._analyser.shape[1:])
+        s0, s1, s2 = (solution * light[:, np.newaxis]).sum(0)
+        usable = s0 > 0     # NaN is not
+        degree = np.hypot(s1, s2) / np.where(usable, s0, 1)
+        mean, seen, last, *sums = self._planes
+        compared = usable & (seen > 0)
+        error = np.where(compared, degree - mean, 0)
+        seen = np.minimum(seen + usable, FRAMES)
+        mean = mean + np.where(usable, degree - mean, 0) / np.maximum(seen, 1)
+        products, squares, number = (
+            _sum_around(one) for one in (error * last, error * error, compared))
+        product, total, count, late, late_count = sums = [
+            (1 - 1 / memory) * one + more for memory, one, more in zip(
+                _MEMORIES, sums, (products, squares, number, squares, number),
+                strict=True)]
+        variance = (total + FIRST_ERROR**2) / (count + 1)
+        latest = late / np.maximum(late_count, 1)
+        # What errors of consecutive frames share is not noise of a frame.
+        own = np.minimum(variance / np.maximum(seen, 1)
+                         + np.maximum(product / (count + 1), 0), variance)
+        share = 1 - SURE**2 * np.maximum(variance, latest) / np.maximum(mean**2, 1e-12)
         # Others may hold the arrays: they are replaced, never changed.
-        before, self._planes = self._planes, np.empty_like(self._planes)
-        self._lasting = np.empty_like(self._lasting)
-        _kernels.degree_frame(
-            log, self._analyser, (FRAMES, LATE_FRAMES, FIRST_ERROR**2, SURE**2), before,
-            self._planes, self._scratch, self._lasting)
+        self._planes = np.stack([mean, seen, error, *sums])
+        self._lasting = np.stack([
+            mean, np.maximum(own, latest - (variance - own)), np.maximum(share, 0)])
 
     def weigh(
         self, log: NDArray[np.float32], variance: NDArray[np.float32],
@@ -134,6 +160,13 @@ class LastingDegree:
     def restore(self, state: State) -> None:
         """Return to what `state` returned."""
         self._planes, self._lasting = state["planes"], state["lasting"]
+
+
+def _sum_around(values: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the sums of 3 x 3 values, 0 beyond the edge."""
+    wide = np.pad(values, 1).astype(np.float32)
+    wide = wide[:-2] + wide[1:-1] + wide[2:]
+    return np.asarray(wide[:, :-2] + wide[:, 1:-1] + wide[:, 2:])
 
 
 def _places(shape: tuple[int, int]) -> list[tuple[slice, slice]]:
