@@ -1,9 +1,10 @@
 """Checks of arguments that several packages share."""
 from __future__ import annotations
 
+import functools
 import math
 import numbers
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -183,3 +184,15 @@ def checked_threshold(
         return float(array)
     array.flags.writeable = False
     return array
+
+
+def of_interval(read: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a method that reads an interval, once it is of numbers."""
+    @functools.wraps(read)
+    def checked(self: Any, start_us: Any = None, stop_us: Any = None) -> Any:
+        for name, t_us in (("start_us", start_us), ("stop_us", stop_us)):
+            if t_us is not None and not (isinstance(
+                    t_us, numbers.Real) and t_us == t_us):
+                raise TypeError(f"{name} must be a time in us or None, got {t_us!r}")
+        return read(self, start_us, stop_us)
+    return checked

@@ -1,8 +1,8 @@
 """The public names of a package, whose errors name the argument of another type.
 
-Functions take what behaves as their annotations say.  If a call fails inside and an
-argument is of another type, that is said instead.  A call that succeeds takes a
-microsecond longer.
+Functions and methods take what behaves as their annotations say.  If a call fails
+inside and an argument is of another type, that is said instead.  A call that succeeds
+takes a microsecond longer.
 """
 from __future__ import annotations
 
@@ -47,10 +47,11 @@ def public(package: str, name: str, one: Any) -> Any:
     elif inspect.isclass(one) and not issubclass(one, Exception) and (
             name != "VideoCapture"):    # it errs as cv2's does
         for base in one.__mro__:
-            make = vars(base).get("__init__")
-            if base.__module__.startswith("pdavis_cv") and inspect.isfunction(
-                    make) and not hasattr(make, "__wrapped__"):
-                base.__init__ = explained(make)     # type: ignore[misc]
+            ours = base.__module__.startswith("pdavis_cv")
+            for called, call in [*vars(base).items()] if ours else ():
+                if inspect.isfunction(call) and not hasattr(call, "__wrapped__") and (
+                        called == "__init__" or not called.startswith("_")):
+                    setattr(base, called, explained(call))
     vars(sys.modules[package])[name] = one
     return one
 
@@ -126,9 +127,9 @@ def fits(value: Any, hint: Any) -> bool:
     if isinstance(value, np.ndarray) and not value.ndim and isinstance(
             kind, type) and issubclass(kind, Iterable):
         return False        # although it has an __iter__
-    if kind is np.ndarray:
-        return isinstance(value, np.ndarray) and value.dtype.kind in (
-            "biufcV" if "Any" in str(inside[-1]) else "biufc")
+    if kind is np.ndarray:      # of void: of events, on which `as_events` decides
+        return "void" in str(inside[-1]) or (isinstance(value, np.ndarray) and (
+            value.dtype.kind in ("biufcV" if "Any" in str(inside[-1]) else "biufc")))
     if hint == ArrayLike:
         with contextlib.suppress(ValueError):
             return np.asarray(value).dtype.kind in "biufc"

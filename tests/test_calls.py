@@ -112,3 +112,28 @@ def test_errors_say_what_is_wrong_with_an_argument(
     ([1], list[int], True), (["a"], list[int], False), ("a", list[str], False)])
 def test_what_fits_an_annotation(value, hint, expected):
     assert fits(value, hint) is expected
+
+
+@pytest.mark.parametrize("wrong", ["x", [], {}, np.nan, np.zeros(2), b"1", 1j])
+def test_times_of_an_interval_are_numbers(wrong, tmp_path):
+    events = boundaries.some_events()
+    memory = pdavis_cv.recording_from_arrays(events, sensor_size=boundaries.SIZE)
+    pdavis_cv.write_aedat4(tmp_path / "a.aedat4", memory)
+    with pdavis_cv.open_recording(tmp_path / "a.aedat4") as file:
+        for recording in (memory, file):
+            for name in ("start_us", "stop_us"):
+                for read in (recording.events, recording.packets):
+                    with pytest.raises(TypeError, match=f"{name} must be a time in us"):
+                        read(**{name: wrong})
+            assert len(recording.events(0.5, np.int64(2**40))) == len(events)
+
+
+@pytest.mark.parametrize(("of", "name", "wrong", "said"), [
+    ("layout", "rot90", "x", "k"), ("layout", "crop", {}, "x"),
+    ("frame", "moved", "x", "us"), ("filter", "restore", 3, "snapshot")])
+def test_errors_of_methods_say_which_argument_is_wrong(of, name, wrong, said):
+    one = {"layout": lambda: boundaries.LAYOUT, "frame": boundaries.some_frame,
+           "filter": lambda: pdavis_cv.ComplementaryFilter(
+               boundaries.SIZE, theta_on=.2, theta_off=.2)}[of]()
+    with pytest.raises(TypeError, match=rf"^{said} must be .*, got "):
+        getattr(one, name)(*([wrong, 1] if name == "crop" else [wrong]))

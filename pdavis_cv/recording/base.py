@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._advice import Advises
-from pdavis_cv._checks import typed, whole_number
+from pdavis_cv._checks import of_interval, typed, whole_number
 from pdavis_cv.events import EVENT_DTYPE, FAR, checked_time
 from pdavis_cv.recording.facts import FILE, Fact
 from pdavis_cv.recording.options import MOST_DN
@@ -524,6 +524,11 @@ class Recording(Source):
     Made by ``open_recording`` and ``recording_from_arrays``.  A file is pickled by its
     path, a recording in memory by value.
     """
+
+    def __init_subclass__(cls, **rest: Any) -> None:
+        super().__init_subclass__(**rest)
+        for name in {"packets", "events"} & vars(cls).keys():
+            setattr(cls, name, of_interval(vars(cls)[name]))
 
     @abstractmethod
     def packets(
