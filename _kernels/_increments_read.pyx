@@ -167,8 +167,8 @@ cdef inline double line_of(double t, double j, const shown_t* shown, Py_ssize_t 
     back = a.back + (shown.back - a.back) / a.sampled
     spare = a.spare + (shown.passed - fabs(moved) - a.spare) / a.sampled
     spare = max(spare, back)
-    s *= (1.0 - s) * seconds * seconds
-    both = own + bend * s * s + spare * spare
+    seconds *= seconds
+    both = own + bend * seconds * seconds * s * (1.0 - s) + spare * spare
     far = (j - log[0]) * (j - log[0]) / (DOUBTFUL * both)
     share = own / both
     share *= share / (1.0 + far * far)

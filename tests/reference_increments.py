@@ -544,8 +544,8 @@ class Filter:
         back = level.back + (against - level.back) / level.sampled
         spare = level.spare + (
             passed.sum() - abs(moved) - level.spare) / level.sampled
-        both = own + max(bend ** 2, level.bend2) * (
-            seconds ** 2 * s * (1 - s)) ** 2 + max(back, spare) ** 2
+        both = own + max(bend ** 2, level.bend2) * seconds ** 4 * s * (1 - s) + (
+            max(back, spare) ** 2)
         share = (own / both) ** 2 / (1 + ((J - line) ** 2 / (DOUBTFUL * both)) ** 2)
         V += share * (share * both - 2 * own)
         return J + share * (line - J), V, 1 - share
