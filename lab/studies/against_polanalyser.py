@@ -14,10 +14,11 @@ import sys
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
+from typing import Any
 
 import numpy as np
 from common import Found, main
-from scipy import ndimage
+from scipy import fft, ndimage
 
 from lab.paper.demosaic import score
 from lab.paper.demosaic_scenes import MADE, make
@@ -109,6 +110,26 @@ def stepped(pairs: int, shape: tuple[int, int]) -> tuple[float, float]:
     return statistics.median(ratios), float(np.abs(image.s0 / s0 - 1).max())
 
 
+def ideal(plane: np.ndarray, kept: Callable[[Any, Any], Any]) -> float:
+    """Return PSNR of S0 within the frequencies that samples alone carry, in dB."""
+    waves = fft.dctn(plane, norm="ortho")
+    y, x = (np.arange(n) / (2 * n) for n in plane.shape)
+    off = (fft.idctn(waves * kept(y[:, None], x), norm="ortho") - plane)[6:-6, 6:-6]
+    return float(10 * np.log10(plane[6:-6, 6:-6].max()**2 / np.mean(off**2)))
+
+
+def ideals(shape: tuple[int, int]) -> tuple[float, float]:
+    """Return `ideal` of a colour's samples, and of a monochrome mosaic's cells."""
+    def square(step: int) -> Callable[[Any, Any], Any]:
+        return lambda y, x: np.maximum(y, x) <= 0.5 / step
+
+    kept = square(4), lambda y, x: y + x <= 0.25, square(4)
+    planes = [coloured(kind, shape, 101).sum(1) for kind in MADE]
+    colour = [ideal(*one) for three in planes for one in zip(three, kept, strict=True)]
+    mono = [ideal(one, square(2)) for three in planes for one in three]
+    return float(np.mean(colour)), float(np.mean(mono))
+
+
 def errors(shape: tuple[int, int]) -> dict[str, np.ndarray]:
     """Return S0 dB, DoLP dB and AoP degrees, the means of scenes and colours."""
     methods: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -131,6 +152,8 @@ def study(quick: bool) -> list[Found]:
     found = errors((64, 80) if quick else (260, 346))
     for name, (s0, dolp, aop) in found.items():
         print(f"{name}: S0 {s0:.1f} dB, DoLP {dolp:.1f} dB, AoP {aop:.2f} degrees")
+    colour, mono = ideals((64, 80) if quick else (260, 346))
+    print(f"S0, ideal: of a colour's samples {colour:.1f} dB, monochrome {mono:.1f} dB")
     other = found.get("polanalyser", found["bilinear"])
     better = found["guided"] - other
     lines = [
