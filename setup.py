@@ -58,6 +58,7 @@ SHARED = (
     "_check.pxd",
     "_channels.h",
     "_clones.h",
+    "_colours.h",
     "_curves.h",
     "_degree.h",
     "_double.pxd",

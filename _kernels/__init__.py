@@ -11,7 +11,7 @@ _MODULES = {
     "_build": "DEBUG",
     "_bus": "read_out sort_events",
     "_clock": "cells settle",
-    "_colours": "colour_means smooth",
+    "_colours": "colour_means",
     "_davis_usb": "davis_words",
     "_degree": "lasting_degree",
     "_demosaic": "bilinear bilinear_variance bilinear_weighted binned reached",

@@ -52,26 +52,21 @@ def colour_mosaics(
     cell = np.array(["RGB".index(c) for c in layout.colours or ()], np.uint8)
     cell = cell.reshape(4, 4)
 
-    def means(image: Image, guide: Image, taps: Image, step: int) -> Image:
-        out = np.empty((3, *image.shape), np.float32)
+    usable = np.ones_like(image) if valid is None else valid.astype(np.float32)
+
+    def means(image: Image, guide: Image, taps: Image, step: int = 1,
+              cell: NDArray[np.uint8] = cell, count: int = 3) -> Image:
+        out = np.empty((count, *image.shape), np.float32)
         ends = (len(taps) - 1) * step
         _kernels.colour_means(
             image, guide, cell, taps, step,
-            np.empty(27 * (image.shape[1] + ends), np.float32), out)
-        return out
-
-    def smooth(image: Image) -> Image:
-        out = np.empty_like(image)
-        _kernels.smooth(image, _CELL, np.empty(image.shape[1] + 4, np.float32), out)
+            np.empty(26 * (image.shape[1] + ends), np.float32), out)
         return out
 
     def guide(image: Image) -> Image:
         """Return the local mean of usable samples, 0 at the others."""
-        if valid is None:
-            return smooth(image)
-        part = smooth(valid.astype(np.float32))
-        np.maximum(part, _FLOOR, out=part)
-        return smooth(np.where(valid, image, np.float32(0))) / part * valid
+        mean: Image = means(image, usable, _CELL, 1, np.zeros_like(cell), 1)[0] * usable
+        return mean
 
     def own(planes: Image) -> Image:
         """Return of each pixel the plane of its colour."""
@@ -81,15 +76,14 @@ def colour_mosaics(
         return out
 
     if method == "bilinear":
-        out = means(image, np.ones_like(image) if valid is None
-                    else valid.astype(np.float32), _NEXT, 2)
+        out = means(image, usable, _NEXT, 2)
         for k, c in enumerate(cell.flat):
             out[c, k // 4::4, k % 4::4] = image[k // 4::4, k % 4::4]
         return out
     light = guide(image)
-    tint = means(image, light, _NEAR, 1)
+    tint = means(image, light, _NEAR)
     # What the window blurs is in the residual: it is fitted once more.
-    tint += means(image - own(tint) * light, light, _NEAR, 1)
+    tint += means(image - own(tint) * light, light, _NEAR)
     np.maximum(tint, _FLOOR, out=tint)
     grey = image / own(tint)
     out = means(grey, guide(grey), _FAR, 2)

@@ -13,19 +13,6 @@ def inside(i, n):
     return i
 
 
-def smooth(image, taps):
-    h, w = image.shape
-    down = np.zeros_like(image)
-    for y in range(h):
-        rows = [image[inside(y + k - 2, h)] * taps[k] for k in range(5)]
-        down[y] = (((rows[0] + rows[1]) + rows[2]) + rows[3]) + rows[4]
-    out = np.zeros_like(image)
-    for x in range(w):
-        parts = [down[:, inside(x + k - 2, w)] * taps[k] for k in range(5)]
-        out[:, x] = (((parts[0] + parts[1]) + parts[2]) + parts[3]) + parts[4]
-    return out
-
-
 def colour_means(image, guide, cell, taps, step):
     h, w = image.shape
     n = len(taps)

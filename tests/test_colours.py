@@ -55,27 +55,35 @@ def test_the_kernel_of_means_equals_its_twin(shape, taps, step):
     guide[rng.random(shape) < 0.2] = 0
     taps, cell = np.array(taps, np.float32), filters(COLOUR.crop(1, 2), (4, 4))[0]
     out = np.empty((3, *shape), np.float32)
-    spare = np.empty(27 * (shape[1] + (len(taps) - 1) * step), np.float32)
+    spare = np.empty(26 * (shape[1] + (len(taps) - 1) * step), np.float32)
     _kernels.colour_means(image, guide, cell.astype(np.uint8), taps, step, spare, out)
     np.testing.assert_array_equal(
         out, reference.colour_means(image, guide, cell, taps, step))
 
 
-@pytest.mark.parametrize("shape", [(4, 4), (6, 9)])
-def test_the_kernel_that_smooths_equals_its_twin(shape):
-    image = np.random.default_rng(2).uniform(0, 9, shape).astype(np.float32)
-    taps, out = np.array([1, 2, 3, 2, 1], np.float32), np.empty(shape, np.float32)
-    _kernels.smooth(image, taps, np.empty(shape[1] + 4, np.float32), out)
-    np.testing.assert_array_equal(out, reference.smooth(image, taps))
+def test_the_kernel_of_means_makes_those_of_all_pixels_and_of_usable_ones():
+    image = np.random.default_rng(2).uniform(0, 9, (9, 14)).astype(np.float32)
+    usable, out = np.ones_like(image), np.empty((1, 9, 14), np.float32)
+    taps, spare = np.array([1, 2, 2, 2, 1], np.float32), np.empty(999, np.float32)
+    cell = np.zeros((4, 4), np.uint8)
+    for dark in (None, (4, 7)):
+        if dark:
+            usable[dark] = 0
+        _kernels.colour_means(image, usable, cell, taps, 1, spare, out)
+        window = np.s_[2:7, 5:10]
+        weights = np.outer(taps, taps) * usable[window]
+        assert out[0, 4, 7] == pytest.approx(
+            np.average(image[window], weights=weights), rel=1e-5)
 
 
 def test_kernels_refuse_arrays_that_do_not_fit():
     f = partial(np.zeros, dtype=np.float32)
     with pytest.raises(ValueError, match=r"sides >= 4"):
-        _kernels.smooth(f((3, 4)), f(5), f(8), f((3, 4)))
-    with pytest.raises(ValueError, match=r"out \(3, h, w\)"):
+        _kernels.colour_means(f((3, 4)), f((3, 4)), np.zeros((4, 4), np.uint8), f(3), 1,
+                              f(999), f((3, 3, 4)))
+    with pytest.raises(ValueError, match=r"out \(3 or less, h, w\)"):
         _kernels.colour_means(f((4, 4)), f((4, 4)), np.zeros((4, 4), np.uint8), f(3), 1,
-                              f(999), f((2, 4, 4)))
+                              f(999), f((4, 4, 4)))
     with pytest.raises(ValueError, match="taps odd"):
         _kernels.colour_means(f((4, 4)), f((4, 4)), np.zeros((4, 4), np.uint8), f(2), 1,
                               f(999), f((3, 4, 4)))
