@@ -125,7 +125,8 @@ def guided(const pixel_t[:, ::1] mosaic not None,
     or empty if unknown.  All samples must be finite.  scratch has 131 * (w + 32) + 32
     floats.
     """
-    cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], y, x, k, f, i
+    cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], whole = w, y, x, k, f, i
+    cdef Py_ssize_t first, left, count
     cdef Py_ssize_t plane[4]
     cdef bint marked = clean.shape[0] * clean.shape[1] != 0
     cdef bint known = variance.shape[0] * variance.shape[1] != 0
@@ -154,78 +155,85 @@ def guided(const pixel_t[:, ::1] mosaic not None,
         constant = constants[0]
         for k in range(ROWS):
             row[k] = scratch_row(base, k, w)
-        for x in range(w):
-            row[TRUST][x] = one
-            row[VARIANCE][x] = zero
-        for i in range(h + 7):
-            if i < h:      # samples of row i
-                for x in range(w):
-                    row[SAMPLES + i % 7][x] = <float>mosaic[i, x]
-                mirror_ends(row[SAMPLES + i % 7], w)
-            f = i - 2
-            if 0 <= f < h:  # differences of row f, and the terms of their fit
-                for k in range(5):
-                    five[k] = row[SAMPLES + mirrored(f + k - 2, h) % 7]
-                if marked:
-                    take_trust(&clean[f, 0], w, row[TRUST])
-                down = -one if f & 1 else one
-                guided_columns(five[1], five[2], five[3], w, row[SUM],
-                               row[DIFFERENCE])
-                k = f % 3
-                guided_differences(row[SUM], row[DIFFERENCE], down, w,
-                                   row[MEANS + f % 6], row[DIFFERENCES + k],
-                                   row[DIFFERENCES + 3 + k], row[DIFFERENCES + 6 + k])
-                guided_weights(five[0], five[1], five[2], five[3], five[4],
-                               row[MEANS + f % 6], row[TRUST], constant.floor,
-                               constant.across, w, row[WEIGHTS + k],
-                               row[WEIGHTS + 3 + k], row[WEIGHTS + 6 + k])
-                for k in range(3):
-                    guided_terms(row[DIFFERENCES + 3 * k + f % 3], row[MEANS + f % 6],
-                                 row[WEIGHTS + 3 * k + f % 3], w, row[TERM],
-                                 row[TERM + 1])
-                    sum_along(row + TERM, w, row + WINDOWED + 10 * k, f % 5)
-            f = i - 4
-            if 0 <= f < h:  # first fits of row f, and the terms of their residuals
-                noise = &variance[f, 0] if known else row[VARIANCE]
-                for k in range(3):
-                    five_of(row + WINDOWED + 10 * k, f, h, product, other)
-                    guided_fit(product, other, w, row[INVERSES + 3 * k + f % 3],
-                               row[PARTS + 3 * k + f % 3])
-                    guided_residual(row[DIFFERENCES + 3 * k + f % 3],
-                                    row[MEANS + f % 6], row[WEIGHTS + 3 * k + f % 3],
-                                    row[PARTS + 3 * k + f % 3], noise, w, row[TERM],
-                                    row[TERM + 1])
-                    sum_along(row + TERM, w, row + RESIDUAL + 10 * k, f % 5)
-            f = i - 6
-            if 0 <= f < h:  # detail of row f
-                for x in range(w):
-                    row[LEAST + f % 2][x] = huge
-                for k in range(3):
-                    five_of(row + RESIDUAL + 10 * k, f, h, product, other)
-                    guided_refine(product, other, row[INVERSES + 3 * k + f % 3],
-                                  row[PARTS + 3 * k + f % 3], constant.gain,
-                                  constant.most, w, row[REFINED + 2 * k + f % 2],
-                                  row[LEAST + f % 2])
-                if marked:
-                    take_trust(&clean[f, 0], w, row[TRUST])
-                down = -one if f & 1 else one
-                guided_detail(row[SAMPLES + f % 7], row[MEANS + f % 6],
-                              row[REFINED + f % 2], row[REFINED + 2 + f % 2],
-                              row[REFINED + 4 + f % 2], down, constant.additive,
-                              row[TRUST], w, row[DETAIL + f % 2], row[TERM])
-                mirror_ends(row[TERM], w)
-                mirror_ends(row[TRUST], w)
-                guided_beside(row[TERM], w, row[POWER + f % 3])
-                guided_beside(row[TRUST], w, row[POWER + 3 + f % 3])
-            y = i - 7
-            if y >= 0:     # channels of row y
-                for k in range(3):
-                    f = mirrored(y + k - 1, h) % 3
-                    product[k] = row[POWER + f]
-                    other[k] = row[POWER + 3 + f]
-                for k in range(4):
-                    to[k] = &out[plane[k], y, 0]
-                guided_row(row[MEANS + y % 6], row[DETAIL + y % 2], product, other,
-                           row[LEAST + y % 2], constant.noise, row[REFINED + y % 2],
-                           row[REFINED + 2 + y % 2], row[REFINED + 4 + y % 2], w, to[0],
-                           to[1], to[2], to[3])
+        # By strips whose 131 rows, .7 MB, stay in the cache, and 8 columns beside them.
+        for first in range(0, whole, 1280):
+            left, count = max(first - 8, 0), min(1280, whole - first)
+            w = min(first + 1288, whole) - left
+            for x in range(w):
+                row[TRUST][x] = one
+                row[VARIANCE][x] = zero
+            for i in range(h + 7):
+                if i < h:      # samples of row i
+                    for x in range(w):
+                        row[SAMPLES + i % 7][x] = <float>mosaic[i, left + x]
+                    mirror_ends(row[SAMPLES + i % 7], w)
+                f = i - 2
+                if 0 <= f < h:  # differences of row f, and the terms of their fit
+                    for k in range(5):
+                        five[k] = row[SAMPLES + mirrored(f + k - 2, h) % 7]
+                    if marked:
+                        take_trust(&clean[f, left], w, row[TRUST])
+                    down = -one if f & 1 else one
+                    guided_columns(five[1], five[2], five[3], w, row[SUM],
+                                   row[DIFFERENCE])
+                    k = f % 3
+                    guided_differences(
+                        row[SUM], row[DIFFERENCE], down, w, row[MEANS + f % 6],
+                        row[DIFFERENCES + k], row[DIFFERENCES + 3 + k],
+                        row[DIFFERENCES + 6 + k])
+                    guided_weights(five[0], five[1], five[2], five[3], five[4],
+                                   row[MEANS + f % 6], row[TRUST], constant.floor,
+                                   constant.across, w, row[WEIGHTS + k],
+                                   row[WEIGHTS + 3 + k], row[WEIGHTS + 6 + k])
+                    for k in range(3):
+                        guided_terms(
+                            row[DIFFERENCES + 3 * k + f % 3], row[MEANS + f % 6],
+                            row[WEIGHTS + 3 * k + f % 3], w, row[TERM], row[TERM + 1])
+                        sum_along(row + TERM, w, row + WINDOWED + 10 * k, f % 5)
+                f = i - 4
+                if 0 <= f < h:  # first fits of row f, and the terms of their residuals
+                    noise = &variance[f, left] if known else row[VARIANCE]
+                    for k in range(3):
+                        five_of(row + WINDOWED + 10 * k, f, h, product, other)
+                        guided_fit(product, other, w, row[INVERSES + 3 * k + f % 3],
+                                   row[PARTS + 3 * k + f % 3])
+                        guided_residual(
+                            row[DIFFERENCES + 3 * k + f % 3], row[MEANS + f % 6],
+                            row[WEIGHTS + 3 * k + f % 3], row[PARTS + 3 * k + f % 3],
+                            noise, w, row[TERM], row[TERM + 1])
+                        sum_along(row + TERM, w, row + RESIDUAL + 10 * k, f % 5)
+                f = i - 6
+                if 0 <= f < h:  # detail of row f
+                    for x in range(w):
+                        row[LEAST + f % 2][x] = huge
+                    for k in range(3):
+                        five_of(row + RESIDUAL + 10 * k, f, h, product, other)
+                        guided_refine(product, other, row[INVERSES + 3 * k + f % 3],
+                                      row[PARTS + 3 * k + f % 3], constant.gain,
+                                      constant.most, w, row[REFINED + 2 * k + f % 2],
+                                      row[LEAST + f % 2])
+                    if marked:
+                        take_trust(&clean[f, left], w, row[TRUST])
+                    down = -one if f & 1 else one
+                    guided_detail(row[SAMPLES + f % 7], row[MEANS + f % 6],
+                                  row[REFINED + f % 2], row[REFINED + 2 + f % 2],
+                                  row[REFINED + 4 + f % 2], down, constant.additive,
+                                  row[TRUST], w, row[DETAIL + f % 2], row[TERM])
+                    mirror_ends(row[TERM], w)
+                    mirror_ends(row[TRUST], w)
+                    guided_beside(row[TERM], w, row[POWER + f % 3])
+                    guided_beside(row[TRUST], w, row[POWER + 3 + f % 3])
+                y = i - 7
+                if y >= 0:     # channels of row y
+                    x = first - left
+                    for k in range(3):
+                        f = mirrored(y + k - 1, h) % 3
+                        product[k] = row[POWER + f] + x
+                        other[k] = row[POWER + 3 + f] + x
+                    for k in range(4):
+                        to[k] = &out[plane[k], y, first]
+                    guided_row(row[MEANS + y % 6] + x, row[DETAIL + y % 2] + x, product,
+                               other, row[LEAST + y % 2] + x, constant.noise,
+                               row[REFINED + y % 2] + x, row[REFINED + 2 + y % 2] + x,
+                               row[REFINED + 4 + y % 2] + x, count, to[0], to[1], to[2],
+                               to[3])

@@ -41,7 +41,7 @@ def shares(quad):
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", [*SHAPES, (6, 1281), (5, 2600)])  # several strips
 def test_guided_equals_its_twin(shape, dtype):
     mosaic = random_mosaic(shape, dtype)
     before = mosaic.copy()
