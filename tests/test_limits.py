@@ -109,6 +109,14 @@ def of_webp(path):
         cv2.IMWRITE_WEBP_QUALITY, 101])
 
 
+def of_scans(path):
+    cv2 = pytest.importorskip("cv2")
+    data = cv2.imencode(".jpg", np.zeros((64, 64), np.uint8), [
+        cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    scan = data[data.rindex(b"\xff\xda"):-2]
+    path.write_bytes(data[:-2] + 100 * scan + data[-2:])
+
+
 def of_another_kind(path):      # a Sun raster, which cv2 would decode
     path.write_bytes(struct.pack(">8I", 0x59A66A95, 40_000, 40_000, 8, 0, 2, 0, 0)
                      + b"\x80\xff\0" * 3000)
@@ -189,6 +197,7 @@ BOMBS = {"zstd.aedat4": (of_zstd, "ratio"), "lz4.aedat4": (of_small_packets, "me
          "imu.aedat4": (of_imu, "memory"), "bomb.png": (of_png, "memory"),
          "chunk.png": (of_chunk, "a chunk of 4294967295 bytes in a file of"),
          "strip.tiff": (of_strip, "memory"), "large.webp": (of_webp, "memory"),
+         "scans.jpg": (of_scans, "a JPEG of more than 100 scans"),
          "sun.png": (of_another_kind, "of no kind that is read"),
          "header.npz": (of_header, "a header of 4294967295 bytes"),
          "columns.npz": (of_columns, "ratio"), "bz2.bag": (of_bag, "ratio"),
@@ -201,7 +210,7 @@ import pdavis_cv
 warnings.simplefilter("ignore")
 try:
     with pdavis_cv.open_recording(sys.argv[1], **({"layout": "sony"} if sys.argv[
-            1].endswith(("png", "tiff", "webp")) else {})) as recording:
+            1].endswith(("png", "tiff", "webp", "jpg")) else {})) as recording:
         for _ in recording.packets():
             pass
         recording.events()
@@ -214,7 +223,7 @@ except pdavis_cv.RecordingError as error:
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells it")
 @pytest.mark.parametrize("name", [
     name if name in ("zstd.aedat4", "chunk.png", "strip.tiff", "chunk.h5", "sun.png",
-                     "expression.db3") else
+                     "scans.jpg", "expression.db3") else
     pytest.param(name, marks=pytest.mark.gate) for name in BOMBS])  # long to make
 def test_a_bomb_is_refused_and_takes_no_memory(name, tmp_path):
     build, said = BOMBS[name]

@@ -37,6 +37,8 @@ _PIXEL = 6
 _FEWEST_COLUMNS = 16
 """Fewer are the columns of a list of events."""
 _JPEG = b"\xff\xd8\xff"
+_MOST_SCANS = 100
+"""Of a JPEG: each costs a pass over all pixels; progressive ones have about ten."""
 
 
 def is_image_array(start: bytes) -> bool:
@@ -99,6 +101,11 @@ class StillPicture(Pictures):
             width, height = _sides(file)
             if self._png:
                 _check_chunks(file, self._path)
+            if self.facts.lossy:
+                file.seek(0)
+                if file.read().count(b"\xff\xda") > _MOST_SCANS:
+                    raise RecordingError(
+                        f"{self._path}: a JPEG of more than {_MOST_SCANS} scans")
         if not width * height:      # cv2 would decode what the name does not say
             raise RecordingError(
                 f"{self._path}: the image cannot be decoded: of no kind that is read")
