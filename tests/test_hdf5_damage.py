@@ -119,8 +119,33 @@ def test_numbers_that_are_none_cost_their_events(names, value, dtype, tmp_path):
             file[f"events/{name}"] = values
         file.attrs["sensor_size"] = (12, 16)
     with open_recording(tmp_path / "x.h5") as recording:
-        # Less than nothing is OFF.
-        assert len(recording.events()) == 2 + (value == -np.inf)
+        assert len(recording.events()) == 2
+
+
+@pytest.mark.parametrize(("times", "first_us"), [
+    (1_700_000_000_000_000_000 + np.arange(90) * 1000, 1_700_000_000_000_000),
+    (np.r_[7.5, 1_000 + np.arange(89.)], 8), (1 + np.arange(90) * 1e-4, 1_000_000)])
+def test_the_unit_of_times_is_that_of_most(times, first_us, tmp_path):
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        for name in "txyp":
+            file[f"events/{name}"] = times if name == "t" else np.ones(90, "u1")
+        file.attrs["sensor_size"] = (12, 16)
+    with open_recording(tmp_path / "x.h5") as recording:
+        t = recording.events()["t"]
+    assert (len(t), t[0]) == (90, first_us)
+    assert 80 < t[-1] - t[0] < 9_000
+
+
+def test_fractions_of_pixels_cost_their_events(tmp_path):
+    rows = np.array([[10, 1, 1, 1], [20, 1.5, 1, 1], [30, 2, 2, 0], [40, 2, 2, 0.5]])
+    np.save(tmp_path / "x.npy", rows)
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        file["events"] = rows
+    for name in ("x.npy", "x.h5"):
+        with open_recording(tmp_path / name, sensor_size=(12, 16)) as recording:
+            assert recording.events().tolist() == [(10, 1, 1, 1), (30, 2, 2, 0)]
+            assert [(p.kind, p.count) for p in recording.problems] == [
+                ("outside sensor", 2)]
 
 
 def test_a_frame_beyond_single_precision_is_not_valid(tmp_path):

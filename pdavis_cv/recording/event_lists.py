@@ -24,6 +24,7 @@ from pdavis_cv.recording.sequential import SequentialRecording
 from pdavis_cv.recording.text_form import (
     NAMES,
     UNITS,
+    US_PER,
     checked_order,
     text_form,
     unit_of,
@@ -35,8 +36,6 @@ CHUNK = 1 << 18
 """Bytes of text that are read at a time."""
 ROWS = 1 << 16
 """Rows of arrays that are read at a time."""
-_US = {"s": 1e6, "us": 1.0, "ns": 1e-3}
-"""Units of times in arrays, us."""
 LOOKED_AT = 1 << 16
 """Bytes of text at its beginning, middle and end, from which its form is found."""
 
@@ -237,7 +236,7 @@ class NumpyRecording(_EventList):
             self._log.damage(at, f"row {at + whole}: the file ends before its last row",
                              offset=self._path.stat().st_size)
         t, x, y, p = (column[:whole] for column in columns)
-        return microseconds(t, _US[self._scale]), x, y, p
+        return microseconds(t, US_PER[self._scale]), x, y, p
 
 
 def _events_of(found: Mapping[str, Any], path: str) -> tuple[Any, ...]:

@@ -250,10 +250,11 @@ class FileRecording(Recording):
 
 
 def _narrow(column: NDArray[Any]) -> NDArray[np.int32]:
-    """Return integers as int32; clipped values lie outside any sensor."""
+    """Return integers as int32; clipped values, and fractions, are on no sensor."""
     if column.dtype.kind == "f":
-        # fmin ignores NaN
-        column = np.fmax(np.fmin(column.astype(np.float64), 1 << 30), -1)
+        with np.errstate(invalid="ignore"):
+            column = np.where(column % 1 == 0, np.clip(
+                column.astype(np.float64), -1, 1 << 30), 1 << 30)
     elif column.dtype.kind == "u" and column.dtype.itemsize > 2:
         column = np.minimum(column, column.dtype.type(1 << 30))
     elif column.dtype.itemsize > 4:

@@ -20,6 +20,8 @@ from pdavis_cv.recording.options import MAX_SIDE
 
 UNITS = ("us", "s", "ns", "ms")
 """Units of times, in the kernel's order."""
+US_PER = {"s": 1e6, "us": 1.0, "ns": 1e-3}
+"""Units of times in arrays, us."""
 NANOSECONDS_FROM = 10**17
 """Integer times beyond this are nanoseconds: in us it would be the year 5138, in ns it
 is 1973."""
@@ -219,7 +221,8 @@ def unit_of(times: NDArray[Any]) -> tuple[str, int]:
     odd = int(np.count_nonzero(times % 1))
     if odd > min(len(times) / 10, 8):
         return "s", 0
-    return "ns" if len(times) and np.median(times) > NANOSECONDS_FROM else "us", odd
+    late = len(times) and float(np.median(times)) > NANOSECONDS_FROM
+    return "ns" if late else "us", odd
 
 
 def unit_of_times(blocks: Sequence[bytes], order: str) -> tuple[str, int]:

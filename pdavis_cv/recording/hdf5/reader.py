@@ -35,6 +35,7 @@ from pdavis_cv.recording.packetise import END_OF_TIME, Batch, cell_start
 from pdavis_cv.recording.prophesee import OTHER_TRIGGERS, ordered_triggers
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import PiecewiseRecording
+from pdavis_cv.recording.text_form import US_PER, unit_of
 from pdavis_cv.recording.timeline import NEVER, Clock, Timeline
 from pdavis_cv.sensor import Layout, Sensor
 
@@ -186,7 +187,6 @@ class Hdf5Recording(PiecewiseRecording):
                      None)
         if (records := self._records("CD", "txyp")) is not None:
             self._format, parts = "HDF5 (Metavision)", [records]
-            kind = records.dtype["t"].kind
 
             def read(rows: slice) -> Columns:
                 part = records[rows]
@@ -194,13 +194,12 @@ class Hdf5Recording(PiecewiseRecording):
         elif names is not None:
             self._format = _COLUMNS[names]
             parts = [self._dataset(events, name, 1) for name in names]
-            kind = parts[0].dtype.kind
 
             def read(rows: slice) -> Columns:
                 return tuple(column[rows] for column in parts)
         elif events is not None and events is not group and (
                 table := self._dataset(self._file, "events", 2)).shape[1] == 4:
-            self._format, parts, kind = "HDF5 (E2P)", [table], table.dtype.kind
+            self._format, parts = "HDF5 (E2P)", [table]
 
             def read(rows: slice) -> Columns:
                 return tuple(table[rows].T)
@@ -217,7 +216,9 @@ class Hdf5Recording(PiecewiseRecording):
                 f"{self._path}: columns of events must have one length, got {said}")
         self._length = lengths[0]
         self._piece = min((part.chunks or (CHUNK,))[0] for part in parts)
-        unit = _us_per_unit(self._first(read)[0]) if kind == "f" else 1.0
+        unit = 1.0
+        with contextlib.suppress(_LostError):   # which is said when they are read
+            unit = US_PER[unit_of(self._first(read)[0])[0]]
         stated = self._member(self._file, "t_offset")
         offset = 0 if stated is None else int(stated[()])
         offset = min(max(offset, -FAR // 2), FAR // 2)
@@ -416,7 +417,7 @@ class Hdf5Recording(PiecewiseRecording):
                 else:
                     stamps = self._dataset(self._file, "frame_ts", 1)
                     raw = np.zeros(0) if stamps is None else stamps[()]
-                mids = microseconds(raw, _us_per_unit(raw))
+                mids = microseconds(raw, US_PER[unit_of(raw)[0]])
                 rows = np.stack([self._extra(name, mids) for name in (
                     "exposure_start_us", "exposure_end_us", "available_us")], 1)
         except _LostError as error:
@@ -488,9 +489,3 @@ class _Place(NamedTuple):
     start: int
     end: int
     ready: int
-
-
-def _us_per_unit(t: NDArray[Any]) -> float:
-    """Return microseconds per unit of times; times with fractions are seconds."""
-    whole = t.dtype.kind != "f" or np.all(t[np.isfinite(t)] % 1 == 0)
-    return 1.0 if whole else 1e6
