@@ -47,6 +47,28 @@ def test_events_rarer_than_the_clock_s_reach_are_delivered(tmp_path):
     assert {p.kind for p in problems} <= {"unknown size"}
 
 
+def test_few_events_that_come_late_do_not_go_back_in_time(tmp_path):
+    def some(t):
+        return packet(1, 8, 4, 0, [struct.pack("<Ii", 1 | 2 << 2 | 3 << 17, one)
+                                   for one in t])
+
+    def inertial(t):
+        return packet(4, 48, 4, 0, [struct.pack("<ii10f", 1, one, *[1] * 10)
+                                    for one in t])
+
+    (tmp_path / "x").write_bytes(
+        b"#!AER-DAT3.1\r\n#Source 1: DAVIS346\r\n#!END-HEADER\r\n"
+        + some(range(0, 900, 50)) + b"".join(
+            inertial(range(t, t + 90_000, 10_000))
+            for t in range(0, 4_000_000, 100_000))
+        + some([1000, 1100, 1200]))
+    with open_recording(tmp_path / "x") as recording:
+        starts = [one.start_us for one in recording.packets()]
+        assert starts == sorted(starts)
+        assert len(recording.events()) >= 18
+        assert sum(p.count for p in recording.problems) >= 21 - len(recording.events())
+
+
 def test_the_nine_values_of_imu9_are_read_without_the_compass(tmp_path):
     words = [struct.pack("<ii10f", valid, t, *range(1, 7), 36.5, 7, 8, 9)
              for valid, t in ((1, 100), (0, 200), (1, 300))]

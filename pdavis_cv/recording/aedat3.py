@@ -18,7 +18,7 @@ from pdavis_cv.recording.aedat2.header import CHIP_SIZES
 from pdavis_cv.recording.base import IMU_DTYPE, TRIGGER_DTYPE, ApsFrame, RecordingInfo
 from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.options import SourceOptions
-from pdavis_cv.recording.packetise import Batch, cell_start
+from pdavis_cv.recording.packetise import END_OF_TIME, Batch, cell_start
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.search import Search
 from pdavis_cv.recording.sequential import PiecewiseRecording
@@ -274,11 +274,14 @@ class Aedat3Recording(PiecewiseRecording):
                         "samples were dropped because time ran backward")
             # Packets of different kinds are not in time order relative to each other.
             newest = max(clock.last for clock in clocks)
-            self._release(batch, clocks[POLARITY], newest - HORIZON_US, at, memory)
+            self._release(
+                batch, clocks[POLARITY], newest - HORIZON_US, promised, at, memory)
             promised = batch.complete_us = max(promised, newest - HORIZON_US)
             yield batch, at / self._reader.size
-        yield Batch(self._taken(
-            None, 0, clocks[POLARITY], self._reader.size, memory)), 1.0
+        batch = Batch()
+        self._release(batch, clocks[POLARITY], END_OF_TIME, promised,
+                      self._reader.size, memory)
+        yield batch, 1.0
 
     def _decoded(self, begin: int) -> Iterator[Decoded]:
         """Yield (byte, kind, samples or frames, times) of each packet from begin on."""

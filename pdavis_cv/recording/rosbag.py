@@ -30,7 +30,7 @@ from pdavis_cv.recording.event_packets import ENCODINGS, trigger
 from pdavis_cv.recording.facts import stated
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.options import MAX_SIDE, SourceOptions
-from pdavis_cv.recording.packetise import Batch
+from pdavis_cv.recording.packetise import END_OF_TIME, Batch
 from pdavis_cv.recording.prophesee import WordStream, ordered_triggers
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import PiecewiseRecording
@@ -368,7 +368,10 @@ class RosRecording(PiecewiseRecording):
         ahead = deque(islice(messages, REACH))
         for number in count():
             if not ahead:
-                yield Batch(self._taken(None, 0, clocks["events"], number, memory)), 1.0
+                batch = Batch()
+                self._release(
+                    batch, clocks["events"], END_OF_TIME, promised, number, memory)
+                yield batch, 1.0
                 return
             topic, kind, data = ahead.popleft()
             ahead.extend(islice(messages, 1))
@@ -403,7 +406,7 @@ class RosRecording(PiecewiseRecording):
             due = max(clock.last for clock in clocks.values()) - HORIZON_US * both
             if not both and clocks["events"].begun:     # whose triggers may be ahead
                 due = clocks["events"].last
-            self._release(batch, clocks["events"], due, number, memory)
+            self._release(batch, clocks["events"], due, promised, number, memory)
             promised = batch.complete_us = max(promised, due)
             yield batch, (number + 1) / max(self._message_count, number + 1)
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.recording.base import Packet, joined
@@ -51,12 +52,20 @@ class PiecewiseRecording(FileRecording):
                 memory.expect(share)
         return memory.events
 
-    def _release(self, batch: Batch, clock: Clock, due_us: int, at: int,
+    def _release(self, batch: Batch, clock: Clock, due_us: int, promised: int, at: int,
                  memory: Scratch) -> None:
-        """Add to a batch the events that a clock holds back from before a time."""
+        """Add to a batch the events that a clock holds back from before a time.
+
+        Those that came after samples of other streams from later than `promised`, which
+        was complete then, are dropped.
+        """
         if clock.overdue(due_us):
             parts = [] if batch.events is None else [batch.events.copy()]
-            batch.events = joined([*parts, self._taken(None, 0, clock, at, memory)])
+            held = self._taken(None, 0, clock, at, memory)
+            late = held["t"] < promised
+            self._count(at, "late events", int(np.count_nonzero(late)), "events came "
+                        "later than what other streams had gone on to")
+            batch.events = joined([*parts, held[~late]])
 
     def _check_open(self) -> None:
         if self._closed:
