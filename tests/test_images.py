@@ -250,3 +250,15 @@ def test_no_pixel_of_a_real_mosaic_at_full_scale_counts(name, data_dir):
         image, = p.fuse(recording, demosaic="superpixel")
     assert not image.valid[full].any()
     assert image.valid[~full].mean() > 0.5
+
+
+@pytest.mark.filterwarnings("ignore:.* loses detail")
+@pytest.mark.parametrize("marker", [b"\xff\xe0", b"\xff\xdb", b"\xff\xc0"])
+def test_bytes_may_fill_up_before_a_marker_of_jpeg(tmp_path, marker):
+    image = np.arange(64, dtype=np.uint8).reshape(8, 8)
+    data = cv2.imencode(".jpg", image)[1].tobytes()
+    (tmp_path / "a.jpg").write_bytes(data)
+    (tmp_path / "b.jpg").write_bytes(data.replace(marker, b"\xff\xff" + marker, 1))
+    one, other = (open_recording(tmp_path / name, layout="sony")
+                  for name in ("a.jpg", "b.jpg"))
+    np.testing.assert_array_equal(frames_of(one)[0].dn, frames_of(other)[0].dn)

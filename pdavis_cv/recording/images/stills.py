@@ -65,7 +65,9 @@ def _sides(file: BinaryIO) -> tuple[int, int]:
     while start.startswith(_JPEG) and len(head := file.read(4)) == 4:
         if 0xC0 <= head[1] <= 0xCF and head[1] not in (0xC4, 0xC8, 0xCC):
             return struct.unpack(">xHH", file.read(5))
-        file.seek(int.from_bytes(head[2:], "big") - 2, os.SEEK_CUR)
+        # A byte may fill up before a marker, or a segment follows.
+        file.seek(-3 if head[1] == 0xFF else int.from_bytes(head[2:], "big") - 2,
+                  os.SEEK_CUR)
     return 0, 0
 
 
