@@ -487,14 +487,21 @@ def test_a_ninth_client_is_told_that_there_is_no_place(served):
             assert link.getresponse().status == 200
         assert ask(served, "/stream.mjpg")[0] == 503
         assert ask(served, "/status")[0] == 200
+        # Players that read nothing keep no page from its images.
+        link, file, first = opened(served)
+        with link, file:
+            assert " 101 " in first
+            sent(link, b'{"panes": ["aop"]}')
+            assert message(file)[1]
 
 
 def places(running):
     free = []
-    while running.site.clients.acquire(blocking=False):
-        free.append(1)
-    for _ in free:
-        running.site.clients.release()
+    for of in (running.site.pages, running.site.players):
+        while of.acquire(blocking=False):
+            free.append(of)
+    for of in free:
+        of.release()
     return len(free)
 
 
@@ -509,7 +516,7 @@ def test_a_client_that_is_gone_or_takes_nothing_gives_its_place_back(
         player = socket.create_connection(("127.0.0.1", running.port), PATIENCE_S)
         player.sendall(b"GET /stream.mjpg HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
         assert player.recv(1)
-        assert places(running) == 6
+        assert places(running) == 14
         if how == "gone":
             for one in (file, link, player):
                 one.close()
@@ -520,7 +527,7 @@ def test_a_client_that_is_gone_or_takes_nothing_gives_its_place_back(
                 while True:
                     sent(link, all_of_them)
         until_s = time.monotonic() + PATIENCE_S
-        while places(running) < 8:
+        while places(running) < 16:
             assert time.monotonic() < until_s
             time.sleep(0.05)
         for one in (file, link, player):

@@ -10,6 +10,7 @@ import logging
 import socket
 import ssl
 import struct
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -259,7 +260,7 @@ class Handler(BaseHTTPRequestHandler):
     def _images_asked(self) -> None:
         """Send an image for each request over a WebSocket, until the page is gone."""
         key = accepted_key(dict(self.headers.items()))
-        with self._place():
+        with self._place(self._site.pages):
             self.close_connection = True
             self._begin(101, {"Upgrade": "websocket", "Connection": "Upgrade",
                               "Sec-WebSocket-Accept": key})
@@ -337,7 +338,7 @@ class Handler(BaseHTTPRequestHandler):
     def _stream(self) -> None:
         """Send pictures one after the other; repeat the last one if none comes."""
         output = self.query.get("output", "bgr")
-        with self._place():
+        with self._place(self._site.players):
             self.close_connection = True
             sent = 0
             for number, image in self._images():
@@ -366,14 +367,14 @@ class Handler(BaseHTTPRequestHandler):
                 yield number, last
 
     @contextlib.contextmanager
-    def _place(self) -> Iterator[None]:
+    def _place(self, places: threading.BoundedSemaphore) -> Iterator[None]:
         """Take one of the places for clients that get pictures."""
-        if not self._site.clients.acquire(blocking=False):
+        if not places.acquire(blocking=False):
             raise _Refused(503, "as many clients as there may be are being served")
         try:
             yield
         finally:
-            self._site.clients.release()
+            places.release()
 
     def _command(self) -> None:
         kind = self.headers.get("Content-Type", "").partition(";")[0]

@@ -10,7 +10,8 @@ from pdavis_cv.viewer.panes import jpeg, pane
 from pdavis_cv.viewer.show import Show
 
 MOST_CLIENTS = 8
-"""Most pages and players that get pictures at the same time."""
+"""Most pages, and most players, that get pictures at the same time: a player that does
+not read what it is sent keeps its place, while a page asks for each image."""
 
 
 class Site:
@@ -25,7 +26,8 @@ class Site:
     ) -> None:
         self.show, self.token, self.context = show, token, context
         self.closing = threading.Event()
-        self.clients = threading.BoundedSemaphore(MOST_CLIENTS)
+        self.pages, self.players = (
+            threading.BoundedSemaphore(MOST_CLIENTS) for _ in range(2))
         self._jpegs: dict[str, tuple[int, bytes]] = {}
         self._encoding = threading.Lock()
 
