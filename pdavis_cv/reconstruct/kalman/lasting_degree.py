@@ -112,11 +112,12 @@ class LastingDegree:
         # What errors of consecutive frames share is not noise of a frame.
         own = np.minimum(variance / np.maximum(seen, 1)
                          + np.maximum(product / (count + 1), 0), variance)
-        share = 1 - SURE**2 * np.maximum(variance, latest) / np.maximum(mean**2, 1e-12)
+        more = mean * mean - SURE**2 * np.maximum(variance, latest)
+        share = np.where(more > 0, more / np.where(more > 0, mean * mean, 1), 0)
         # Others may hold the arrays: they are replaced, never changed.
         self._planes = np.stack([mean, seen, error, *sums])
         self._lasting = np.stack([
-            mean, np.maximum(own, latest - (variance - own)), np.maximum(share, 0)])
+            mean, np.maximum(own, latest - (variance - own)), share])
 
     def weigh(
         self, log: NDArray[np.float32], variance: NDArray[np.float32],
