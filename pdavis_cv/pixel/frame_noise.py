@@ -67,9 +67,10 @@ def _fitted(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float6
 def nonnegative(
     square: NDArray[np.float64], right: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return what solves square @ x = right best, none negative: one of all subsets.
+    """Return the x >= 0 of the least x square x - 2 right x: each may be 0 or not.
 
-    For two or three unknowns; importing SciPy's takes longer than a camera's frames.
+    For two or three unknowns, whose subsets are few.  SciPy's `nnls` does the same, but
+    importing it takes as long as learning a camera.
     """
     best, most = np.zeros(len(right)), 0.0
     for some in itertools.product((False, True), repeat=len(right)):
