@@ -101,25 +101,22 @@ def add_fuse_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("fusion")
     add_offered(group, offered(fusion_options()))
     add_source_options(parser, ("layout",))
-    group.add_argument(
-        "--analyser-rpm", type=number, metavar="RPM", help="a polarizer turns before "
-        "the camera, so many times a minute, negative = clockwise as displayed")
-    group.add_argument(
-        "--analyser-phase", type=number, default=0.0, metavar="DEG", help="its angle "
-        "at time 0 of the recording's clock, or at the first pulse; default 0")
-    group.add_argument(
-        "--trigger", type=within(0, 31), metavar="CHANNEL", help="the file's external "
-        "trigger of this channel pulses as it turns; most cameras have 0 only")
-    group.add_argument(
-        "--trigger-pulses", type=within(1, 4096), default=1, metavar="N",
-        help="pulses of the trigger per turn; default 1")
-    group.add_argument(
-        "--analyser-found", action="store_true", help="a polarizer turns before the "
-        "camera; find its speed from the events")
-    group.add_argument(
-        "--set", action="append", default=[], type=setting, metavar="NAME=VALUE",
-        dest="settings", help="a parameter of the method, e.g. cutoff_hz=1.6 "
-                              "or mode=offline")
+    group.add_argument("--analyser-rpm", type=number, metavar="RPM",
+                       help="a polarizer turns before the camera, so many times a "
+                            "minute, negative = clockwise as displayed")
+    group.add_argument("--analyser-phase", type=number, default=0.0, metavar="DEG",
+                       help="its angle at time 0 of the recording's clock, or at the "
+                            "first pulse; default 0")
+    group.add_argument("--trigger", type=within(0, 31), metavar="CHANNEL",
+                       help="the file's external trigger of this channel pulses as it "
+                            "turns; most cameras have 0 only")
+    group.add_argument("--trigger-pulses", type=within(1, 4096), default=1, metavar="N",
+                       help="pulses of the trigger per turn; default 1")
+    group.add_argument("--analyser-found", action="store_true", help="a polarizer "
+                       "turns before the camera; find its speed from the events")
+    group.add_argument("--set", action="append", default=[], type=setting,
+                       metavar="NAME=VALUE", dest="settings", help="a parameter of the "
+                       "method, e.g. cutoff_hz=1.6 or mode=offline")
 
 
 def fuse_options(args: argparse.Namespace, recording: Recording) -> dict[str, Any]:

@@ -62,41 +62,28 @@ def _parser() -> argparse.ArgumentParser:
         "batch", __doc__ or "",
         "pdavis batch *.aedat4 -o out --set method=cf,kalman --set fps=100 "
         "--work traces --jobs 4")
-    parser.add_argument(
-        "files", nargs="+", metavar="FILE",
-        help="recordings; or: status OUT")
-    parser.add_argument(
-        "-o", "--out", metavar="OUT", help="folder for results, or s3://...")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE,...",
-        dest="settings", type=_setting,
-        help="an option of fuse or a parameter of the method; several values are "
-             "combined with those of all other settings; numbers of one value are "
-             "separated by slashes: thresholds=0.29/0.32")
-    parser.add_argument(
-        "--work", default="export", metavar="WORK",
-        help=f"{', '.join(batch.WORKS)}, or MODULE:FUNCTION of your own; default "
-             "export")
-    parser.add_argument(
-        "--with", action="append", default=[], metavar="NAME=VALUE",
-        dest="work_settings", type=_setting,
-        help="parameters of the work: export has suffix (.npz, .h5, .ome.tif), "
-             "quantities, start_s, stop_s; traces regions, start_s, stop_s; score "
-             "seconds; calibrate nominal")
-    parser.add_argument(
-        "--jobs", type=within(1, _MOST_WORKERS), metavar="N",
+    add = parser.add_argument
+    add("files", nargs="+", metavar="FILE", help="recordings; or: status OUT")
+    add("-o", "--out", metavar="OUT", help="folder for results, or s3://...")
+    add("--set", action="append", default=[], metavar="NAME=VALUE,...", dest="settings",
+        type=_setting, help="an option of fuse or a parameter of the method; several "
+        "values are combined with those of all other settings; numbers of one value "
+        "are separated by slashes: thresholds=0.29/0.32")
+    add("--work", default="export", metavar="WORK", help=f"{', '.join(batch.WORKS)}, "
+        "or MODULE:FUNCTION of your own; default export")
+    add("--with", action="append", default=[], metavar="NAME=VALUE",
+        dest="work_settings", type=_setting, help="parameters of the work: export has "
+        "suffix (.npz, .h5, .ome.tif), quantities, start_s, stop_s; traces regions, "
+        "start_s, stop_s; score seconds; calibrate nominal")
+    add("--jobs", type=within(1, _MOST_WORKERS), metavar="N",
         help="number of jobs at a time; default: one per core")
-    parser.add_argument(
-        "--executor", default="process", metavar="WHERE",
+    add("--executor", default="process", metavar="WHERE",
         help=f"{EXECUTORS}, which makes a concurrent.futures.Executor; default process")
-    parser.add_argument(
-        "--retries", type=within(0, 100), default=1, metavar="N",
+    add("--retries", type=within(0, 100), default=1, metavar="N",
         help="number of further attempts at a job that failed; default 1")
-    parser.add_argument(
-        "--timeout", type=positive, metavar="S",
+    add("--timeout", type=positive, metavar="S",
         help="time limit of each job, seconds; of executor process only")
-    parser.add_argument(
-        "--dry-run", action="store_true", help="only print what would be done")
+    add("--dry-run", action="store_true", help="only print what would be done")
     add_json_option(parser)
     add_source_options(parser)
     return parser

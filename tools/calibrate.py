@@ -346,55 +346,54 @@ _EXAMPLES = {
 
 
 def _add_options(parser: argparse.ArgumentParser, part: str) -> None:
+    add = parser.add_argument
     if part == "all":
         for name in _ALL:
             option = "rotating" if name == "layout" else name
-            parser.add_argument(f"--{option}", nargs="+", metavar="FILE", default=[],
-                                dest=f"{name}_files", help=f"recordings for {name}")
+            add(f"--{option}", nargs="+", metavar="FILE", default=[],
+                dest=f"{name}_files", help=f"recordings for {name}")
     else:
-        parser.add_argument("files", nargs="+", metavar="FILE", help="a recording")
+        add("files", nargs="+", metavar="FILE", help="a recording")
     add_json_option(parser)
     if part == "zero":
-        parser.add_argument("--known-deg", type=number, required=True, dest="known",
-                            metavar="DEG", help="direction of its light, as AoP")
+        add("--known-deg", type=number, required=True, dest="known", metavar="DEG",
+            help="direction of its light, as AoP")
         add_fuse_options(parser)
         return
     add_source_options(parser)
-    parser.add_argument("--roi", type=roi_option, metavar="X,Y,W,H",
-                        help="lit part of the sensor, in pixels")
+    add("--roi", type=roi_option, metavar="X,Y,W,H",
+        help="lit part of the sensor, in pixels")
     if part == "check":
         return
-    parser.add_argument(
-        "-o", "--out", required=True, metavar="NPZ",
+    add("-o", "--out", required=True, metavar="NPZ",
         help="the camera's calibration file; its other parts are kept")
-    parser.add_argument("--force", action="store_true",
-                        help="replace a layout that contradicts the new one")
+    add("--force", action="store_true",
+        help="replace a layout that contradicts the new one")
     for name, text in (("wavelength-nm", "wavelength, noted"),
                        ("f-number", "f-number, noted"),
                        ("temperature-c", "temperature, noted")):
-        parser.add_argument(f"--{name}", type=positive, help=text)
+        add(f"--{name}", type=positive, help=text)
     if part in ("layout", "all"):
-        parser.add_argument("--direction", choices=("ccw", "cw"),
-                            help="direction of rotation as displayed")
-        parser.add_argument("--known", type=lambda text: numbers(text, 2),
-                            metavar="S,DEG", help="angle at one time")
-        parser.add_argument("--family", type=layout_option, metavar="LAYOUT",
-                            help="layout up to a constant angle")
+        add("--direction", choices=("ccw", "cw"),
+            help="direction of rotation as displayed")
+        add("--known", type=lambda text: numbers(text, 2), metavar="S,DEG",
+            help="angle at one time")
+        add("--family", type=layout_option, metavar="LAYOUT",
+            help="layout up to a constant angle")
     if part in ("thresholds", "all"):
-        parser.add_argument("--nominal", type=lambda text: tuple(numbers(text, 2)),
-                            metavar="ON,OFF", default=NOMINAL_THRESHOLDS,
-                            help="expected thresholds, ln units; default 0.2,0.2")
+        add("--nominal", type=lambda text: tuple(numbers(text, 2)), metavar="ON,OFF",
+            default=NOMINAL_THRESHOLDS,
+            help="expected thresholds, ln units; default 0.2,0.2")
     if part in ("sweep", "all"):
-        parser.add_argument("--angles", metavar="DEG,DEG,...",
-                            type=lambda text: numbers(text, text.count(",") + 1),
-                            help="one angle per file; otherwise one file has all steps")
+        add("--angles", metavar="DEG,DEG,...",
+            type=lambda text: numbers(text, text.count(",") + 1),
+            help="one angle per file; otherwise one file has all steps")
         for name, default, text in (
                 ("start-deg", 0.0, "angle of the first step"),
                 ("step-deg", 5.0, "angle of a step, counter-clockwise as displayed"),
                 ("hold-s", 1.0, "seconds between steps"),
                 ("settle-s", 0.1, "seconds after a step that are left out"),
                 ("first-s", 0.0, "time at which the first step begins")):
-            parser.add_argument(f"--{name}", type=number, default=default,
-                                help=f"{text}; default {default:g}")
-        parser.add_argument("--steps", type=within(1, 10**9),
-                            help="number of steps; default: all")
+            add(f"--{name}", type=number, default=default,
+                help=f"{text}; default {default:g}")
+        add("--steps", type=within(1, 10**9), help="number of steps; default: all")

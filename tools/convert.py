@@ -44,20 +44,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("convert", __doc__ or "",
                     "pdavis convert jaer-recording.aedat upright.aedat4\n\n" + _table())
+    add = parser.add_argument
     add_file(parser, "a recording of any format", "input")
-    parser.add_argument(
-        "output", help="the file to write; its suffix determines the format")
-    parser.add_argument(
-        "--format", metavar="NAME", help="format, if the suffix does not determine it: "
+    add("output", help="the file to write; its suffix determines the format")
+    add("--format", metavar="NAME", help="format, if the suffix does not determine it: "
         + ", ".join(name for name, one in FORMATS.usable().items() if one.writer))
-    parser.add_argument("--encoding", metavar="NAME", help="how events are encoded: "
-                        "evt3 (default) or evt2 in RAW; event_camera_msgs (default) or "
-                        "dvs_msgs in a bag")
-    parser.add_argument("--compression", choices=("lz4", "none", "zstd"),
-                        help="compression of AEDAT-4; default lz4")
+    add("--encoding", metavar="NAME", help="how events are encoded: evt3 (default) or "
+        "evt2 in RAW; event_camera_msgs (default) or dvs_msgs in a bag")
+    add("--compression", choices=("lz4", "none", "zstd"),
+        help="compression of AEDAT-4; default lz4")
     add_source_options(parser)
-    parser.add_argument(
-        "--force", action="store_true", help="replace an existing recording")
+    add("--force", action="store_true", help="replace an existing recording")
     add_json_option(parser)
     return parser
 

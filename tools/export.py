@@ -135,83 +135,58 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         "export", __doc__ or "",
         "pdavis export recording.aedat4 -o fused.webm --fps 200 --slow 8")
+    add = parser.add_argument
     names = [*(name for name in QUANTITIES if name != "events"), *GROUPS]
     add_file(parser, "a recording")
-    parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="OUT", help="file to write")
-    parser.add_argument(
-        "--what", choices=("images", "aop-events"), default="images",
+    add("-o", "--out", type=Path, required=True, metavar="OUT", help="file to write")
+    add("--what", choices=("images", "aop-events"), default="images",
         help="aop-events: an angle after each event instead of images, as .csv, .npy "
              "or a video in which events have the hue of their angle; with --set "
              "cutoff_hz=, radius=, correct_phase=true; default images")
-    parser.add_argument(
-        "--at", type=since_start, metavar="S",
+    add("--at", type=since_start, metavar="S",
         help="one image, at this time in seconds after the start of the recording")
-    parser.add_argument(
-        "--quantities", type=_quantities, default=["s0", "aop", "dolp"],
-        metavar="LIST",
+    add("--quantities", type=_quantities, default=["s0", "aop", "dolp"], metavar="LIST",
         help=f"quantities from {', '.join(names)}; default s0,aop,dolp")
-    parser.add_argument(
-        "--colour", choices=COLOURS,
-        help="of a colour sensor, images of this light alone; default: of all light "
-             "together, half of which is green")
-    parser.add_argument(
-        "--range", type=_range, action="append", default=[],
-        metavar="[NAME=]LOW,HIGH", dest="ranges",
-        help="values at the ends of a quantity's colours, e.g. dolp=0,0.3 (the upper "
-             "one is also that of full colour in faded AoP); repeatable; default: dolp "
-             "0,1, intensities up to --white")
-    parser.add_argument(
-        "--pixel-um", type=positive, metavar="UM",
-        help="size of a pixel in the object: pictures get a scale bar, stacks "
-             "store it")
-    parser.add_argument(
-        "--resume", action="store_true",
+    add("--colour", choices=COLOURS, help="of a colour sensor, images of this light "
+        "alone; default: of all light together, half of which is green")
+    add("--range", type=_range, action="append", default=[], metavar="[NAME=]LOW,HIGH",
+        dest="ranges", help="values at the ends of a quantity's colours, e.g. "
+        "dolp=0,0.3 (the upper one is also that of full colour in faded AoP); "
+        "repeatable; default: dolp 0,1, intensities up to --white")
+    add("--pixel-um", type=positive, metavar="UM",
+        help="size of a pixel in the object: pictures get a scale bar, stacks store it")
+    add("--resume", action="store_true",
         help="keep the stack if interrupted, and continue an interrupted one")
-    look = parser.add_argument_group("pictures")
-    look.add_argument(
-        "--slow", type=positive, default=1.0, metavar="FACTOR",
-        help="factor of slow motion of a video; default 1")
-    look.add_argument(
-        "--white", type=positive, metavar="DN/MS",
-        help="intensity shown as white; default: from the first image, then fixed")
-    look.add_argument(
-        "--white-balance", type=_balance, metavar="R,G,B",
-        help="of a colour sensor, what red, green and blue are multiplied by in the "
-             "picture of s0; default: what makes the mean of the first image grey")
-    look.add_argument(
-        "--aop", choices=("faded", "hsv", "full"), default="faded",
-        help="colours of the angle: faded (default): equal steps look equal, fading "
-             "where DoLP is low or the angle's standard deviation is above "
-             f"{render.HIDDEN_SIGMA_DEG:g} degrees; hsv: the same in hues of HSV; "
-             "full: even colours for any DoLP")
-    look.add_argument(
-        "--mask-dolp", type=positive, metavar="DOLP",
-        help="grey out AoP of weaker polarization")
-    look.add_argument(
-        "--mask-sigma", type=positive, metavar="DEG",
-        help="grey out AoP with a larger standard deviation (needs kalman)")
-    look.add_argument(
-        "--background", choices=("dark", "light"),
-        help="background of the pictures, to which AoP fades; default dark, light in "
-             "figures")
-    look.add_argument(
-        "--scale", type=within(1, 32), metavar="N",
-        help="each pixel becomes N x N; default: panels at least 240 pixels wide, in "
-             "videos also 480 high; text and legends grow along")
-    look.add_argument(
-        "--width-mm", type=positive, metavar="MM",
-        help="width of a figure in print: .pdf and .svg (text as text), or .png; "
-             f"default {_WIDTH_MM:g}")
-    look.add_argument(
-        "--dpi", type=positive, metavar="N",
-        help=f"pixels per inch of a figure in .png; default {_DPI:g}")
-    look.add_argument("--title", default="", help="a line above each picture")
-    look.add_argument(
-        "--per-row", type=within(1, 64), metavar="N",
-        help="number of panels per row; default: all")
-    look.add_argument(
-        "--bare", action="store_true", help="no titles, no legends, no margins")
+    look = parser.add_argument_group("pictures").add_argument
+    look("--slow", type=positive, default=1.0, metavar="FACTOR",
+         help="factor of slow motion of a video; default 1")
+    look("--white", type=positive, metavar="DN/MS",
+         help="intensity shown as white; default: from the first image, then fixed")
+    look("--white-balance", type=_balance, metavar="R,G,B",
+         help="of a colour sensor, what red, green and blue are multiplied by in the "
+              "picture of s0; default: what makes the mean of the first image grey")
+    look("--aop", choices=("faded", "hsv", "full"), default="faded",
+         help="colours of the angle: faded (default): equal steps look equal, fading "
+              "where DoLP is low or the angle's standard deviation is above "
+              f"{render.HIDDEN_SIGMA_DEG:g} degrees; hsv: the same in hues of HSV; "
+              "full: even colours for any DoLP")
+    look("--mask-dolp", type=positive, metavar="DOLP",
+         help="grey out AoP of weaker polarization")
+    look("--mask-sigma", type=positive, metavar="DEG",
+         help="grey out AoP with a larger standard deviation (needs kalman)")
+    look("--background", choices=("dark", "light"), help="background of the pictures, "
+         "to which AoP fades; default dark, light in figures")
+    look("--scale", type=within(1, 32), metavar="N",
+         help="each pixel becomes N x N; default: panels at least 240 pixels wide, in "
+              "videos also 480 high; text and legends grow along")
+    look("--width-mm", type=positive, metavar="MM", help="width of a figure in print: "
+         f".pdf and .svg (text as text), or .png; default {_WIDTH_MM:g}")
+    look("--dpi", type=positive, metavar="N",
+         help=f"pixels per inch of a figure in .png; default {_DPI:g}")
+    look("--title", default="", help="a line above each picture")
+    look("--per-row", type=within(1, 64), metavar="N",
+         help="number of panels per row; default: all")
+    look("--bare", action="store_true", help="no titles, no legends, no margins")
     add_json_option(parser)
     add_fuse_options(parser)
     return parser

@@ -64,43 +64,39 @@ def _parser() -> argparse.ArgumentParser:
         "fan", __doc__ or "",
         "pdavis fan wheel.aedat4 -o fan.webm --fps 1000 --slow 40 "
         "--centre 172,129 --radius 120 --hub 25 --rpm 200")
+    add = parser.add_argument
     add_file(parser, "a recording with frames and events")
-    parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="OUT",
+    add("-o", "--out", type=Path, required=True, metavar="OUT",
         help="video to write: .webm, .mp4, .mkv or .avi; .gif or .webp for slides")
-    parser.add_argument(
-        "--beside", metavar="FILE", help="a second recording, shown in a row below")
-    parser.add_argument(
-        "--beside-layout", type=layout_option, metavar="LAYOUT", help="its polarizers")
-    parser.add_argument(
-        "--beside-fps", type=number, metavar="RATE",
+    add("--beside", metavar="FILE", help="a second recording, shown in a row below")
+    add("--beside-layout", type=layout_option, metavar="LAYOUT", help="its polarizers")
+    add("--beside-fps", type=number, metavar="RATE",
         help="its images per second, if the file has no times")
-    parser.add_argument(
-        "--beside-offset", type=seconds, default=0.0, metavar="S",
+    add("--beside-offset", type=seconds, default=0.0, metavar="S",
         help="its time at the first image shown, seconds after its own first image")
-    look = parser.add_argument_group("pictures")
-    look.add_argument("--slow", type=number, default=20.0, metavar="FACTOR",
-                      help="factor of slow motion; default 20")
-    look.add_argument("--scale", type=within(1, 64), metavar="N",
-                      help="enlarge each pixel; default: panels fill a screen")
-    look.add_argument("--mask-dolp", type=number, default=0.3, metavar="DOLP",
-                      help="grey out AoP of weaker polarization; default 0.3")
-    look.add_argument("--still", type=Path, metavar="PNG",
-                      help="also write the middle picture of the video")
-    wheel = parser.add_argument_group("sectors")
-    wheel.add_argument("--centre", type=lambda text: numbers(text, 2),
-                       metavar="X,Y", help="axis, in sensor pixels")
-    wheel.add_argument("--radius", type=number, metavar="PX", help="outer radius")
-    wheel.add_argument("--hub", type=number, default=0.0, metavar="PX",
-                       help="inner radius; default 0")
-    wheel.add_argument("--sectors", type=within(1, 360), default=6, metavar="N",
-                       help="number of sectors; default 6")
-    wheel.add_argument("--rpm", type=number, default=0.0, metavar="RPM",
-                       help="turns per minute, positive counter-clockwise; default 0")
-    wheel.add_argument("--sector0", type=number, default=0.0, metavar="DEG",
-                       help="angle of the middle of sector 0 at the recording's start")
-    wheel.add_argument("--spacing", type=number, metavar="DEG",
-                       help="angle between adjacent polarizers; default 180/N")
+    look = parser.add_argument_group("pictures").add_argument
+    look("--slow", type=number, default=20.0, metavar="FACTOR",
+         help="factor of slow motion; default 20")
+    look("--scale", type=within(1, 64), metavar="N",
+         help="enlarge each pixel; default: panels fill a screen")
+    look("--mask-dolp", type=number, default=0.3, metavar="DOLP",
+         help="grey out AoP of weaker polarization; default 0.3")
+    look("--still", type=Path, metavar="PNG",
+         help="also write the middle picture of the video")
+    wheel = parser.add_argument_group("sectors").add_argument
+    wheel("--centre", type=lambda text: numbers(text, 2), metavar="X,Y",
+          help="axis, in sensor pixels")
+    wheel("--radius", type=number, metavar="PX", help="outer radius")
+    wheel("--hub", type=number, default=0.0, metavar="PX",
+          help="inner radius; default 0")
+    wheel("--sectors", type=within(1, 360), default=6, metavar="N",
+          help="number of sectors; default 6")
+    wheel("--rpm", type=number, default=0.0, metavar="RPM",
+          help="turns per minute, positive counter-clockwise; default 0")
+    wheel("--sector0", type=number, default=0.0, metavar="DEG",
+          help="angle of the middle of sector 0 at the recording's start")
+    wheel("--spacing", type=number, metavar="DEG",
+          help="angle between adjacent polarizers; default 180/N")
     add_json_option(parser)
     add_fuse_options(parser)
     parser.set_defaults(fps=1000.0)

@@ -183,30 +183,22 @@ def _pooled(rows: Sequence[Row]) -> Row:
 
 def _parser(known: Mapping[str, Trial]) -> argparse.ArgumentParser:
     parser = Parser("score", __doc__ or "", "pdavis score run.aedat4 -o score")
+    add = parser.add_argument
     slow = [name for name, one in known.items() if not one.usual]
     add_file(parser, "a recording with frames and events")
-    parser.add_argument(
-        "-o", "--out", type=Path, metavar="STEM",
-        help="write STEM.csv and STEM.json")
-    parser.add_argument(
-        "--methods", nargs="+", choices=known, metavar="NAME",
-        help=f"methods from {', '.join(map(repr, known))}; causal: only from data "
-             "that had arrived, as live; default: all that the recording supports, "
-             f"but {', '.join(slow)}")
-    parser.add_argument(
-        "--thresholds", nargs="+", type=_source, default=["default", "in-situ"],
-        metavar="T",
-        help=f"thresholds from {', '.join(SOURCES)}, or ON,OFF in natural-log units; "
-             "default: default in-situ")
-    parser.add_argument(
-        "--calibration", type=Path, metavar="NPZ",
+    add("-o", "--out", type=Path, metavar="STEM", help="write STEM.csv and STEM.json")
+    add("--methods", nargs="+", choices=known, metavar="NAME", help="methods from "
+        f"{', '.join(map(repr, known))}; causal: only from data that had arrived, as "
+        f"live; default: all that the recording supports, but {', '.join(slow)}")
+    add("--thresholds", nargs="+", type=_source, default=["default", "in-situ"],
+        metavar="T", help=f"thresholds from {', '.join(SOURCES)}, or ON,OFF in "
+        "natural-log units; default: default in-situ")
+    add("--calibration", type=Path, metavar="NPZ",
         help="calibration of this camera, whose thresholds are tried too")
-    parser.add_argument(
-        "--seconds", type=positive, default=10.0,
+    add("--seconds", type=positive, default=10.0,
         help="length of the recording's beginning that is scored; default 10")
     add_source_options(parser)
-    parser.add_argument(
-        "--json", action="store_true", help="print JSON instead of the table")
+    add("--json", action="store_true", help="print JSON instead of the table")
     return parser
 
 

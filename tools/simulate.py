@@ -70,50 +70,35 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         "simulate", __doc__ or "",
         "pdavis simulate polarizer --camera nominal --rpm 1000 -o polarizer.aedat4")
-    parser.add_argument(
-        "scene", choices=list(SCENES), metavar="SCENE",
+    add = parser.add_argument
+    add("scene", choices=list(SCENES), metavar="SCENE",
         help="; ".join(f"{name}: {what}" for name, what in SCENES.items()))
-    parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="FILE",
+    add("-o", "--out", type=Path, required=True, metavar="FILE",
         help="recording to write")
-    parser.add_argument(
-        "--camera", choices=list(PRESETS), default=DEFAULT_CAMERA,
+    add("--camera", choices=list(PRESETS), default=DEFAULT_CAMERA,
         help=f"default {DEFAULT_CAMERA}")
-    parser.add_argument(
-        "--seconds", type=positive, default=3.0, help="duration, default 3")
-    parser.add_argument(
-        "--seed", type=within(0, LAST_SEED), default=0,
+    add("--seconds", type=positive, default=3.0, help="duration, default 3")
+    add("--seed", type=within(0, LAST_SEED), default=0,
         help="number of the specimen, default 0")
-    parser.add_argument(
-        "--run", type=within(0, LAST_SEED), default=0,
+    add("--run", type=within(0, LAST_SEED), default=0,
         help="number of the noise of this specimen; default 0")
-    parser.add_argument(
-        "--size", type=_size, metavar="WxH",
-        help="pixels around the middle of the sensor; default 346x260 for structured "
-             "scenes, 12x12 for uniform ones")
-    parser.add_argument(
-        "--threads", type=within(1, 256), default=1,
+    add("--size", type=_size, metavar="WxH", help="pixels around the middle of the "
+        "sensor; default 346x260 for structured scenes, 12x12 for uniform ones")
+    add("--threads", type=within(1, 256), default=1,
         help="number of threads, default 1; it does not change the result")
-    parser.add_argument(
-        "--force", action="store_true", help="replace an existing recording")
+    add("--force", action="store_true", help="replace an existing recording")
     add_json_option(parser)
-    group = parser.add_argument_group("scene")
-    group.add_argument(
-        "--rpm", type=number, default=200.0,
-        help="turns per minute, default 200; negative is clockwise")
-    group.add_argument(
-        "--hz", type=positive, default=1.0, help="cycles of the tendon, default 1")
-    group.add_argument(
-        "--start-deg", type=number, default=0.0, help="angle at time 0, default 0")
-    group.add_argument(
-        "--light", type=positive, metavar="DN/MS",
-        help="S0 in DN per ms; default 30.75, which gives 600 DN in 20 ms at most")
-    group.add_argument(
-        "--background", type=number, default=0.0, metavar="DN/MS",
-        help="S0 of a constant background, 30%% polarized at 30 degrees")
-    group.add_argument(
-        "--flicker", type=positive, metavar="HZ",
-        help="mains frequency of the lamp, 50 or 60: it flickers at twice that")
+    group = parser.add_argument_group("scene").add_argument
+    group("--rpm", type=number, default=200.0,
+          help="turns per minute, default 200; negative is clockwise")
+    group("--hz", type=positive, default=1.0, help="cycles of the tendon, default 1")
+    group("--start-deg", type=number, default=0.0, help="angle at time 0, default 0")
+    group("--light", type=positive, metavar="DN/MS",
+          help="S0 in DN per ms; default 30.75, which gives 600 DN in 20 ms at most")
+    group("--background", type=number, default=0.0, metavar="DN/MS",
+          help="S0 of a constant background, 30%% polarized at 30 degrees")
+    group("--flicker", type=positive, metavar="HZ",
+          help="mains frequency of the lamp, 50 or 60: it flickers at twice that")
     return parser
 
 

@@ -59,24 +59,19 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser("view", __doc__ or "", 'pdavis view "simulate:fan?rpm=60"')
+    add = parser.add_argument
     add_file(parser, "a recording, or the address of a live source")
-    parser.add_argument(
-        "--host", default="127.0.0.1",
-        help="address to answer on, default this machine alone; others need the token "
-             "that is printed")
-    parser.add_argument(
-        "--port", type=within(0, 65535), default=8346,
+    add("--host", default="127.0.0.1", help="address to answer on, default this "
+        "machine alone; others need the token that is printed")
+    add("--port", type=within(0, 65535), default=8346,
         help="default 8346; 0 = any that is free")
     add_tls_options(
         parser, "who must have signed a browser's certificate; default: none is asked "
         "for")
-    parser.add_argument(
-        "--no-browser", action="store_true", help="print the address and open nothing")
-    parser.add_argument(
-        "--record", type=Path, metavar="FILE",
+    add("--no-browser", action="store_true", help="print the address and open nothing")
+    add("--record", type=Path, metavar="FILE",
         help="write what a live source sends, from its beginning, as AEDAT-4")
-    parser.add_argument(
-        "--record-to", type=Path, default=Path(), metavar="FOLDER",
+    add("--record-to", type=Path, default=Path(), metavar="FOLDER",
         help="where the page's record button writes, default the current folder")
     add_json_option(parser)
     add_fuse_options(parser)

@@ -73,57 +73,49 @@ def parser() -> argparse.ArgumentParser:
         "tendon", __doc__ or "",
         "pdavis tendon tendon.aedat4 -o tendon --region fibre=120,80,40,24 "
         "--fps 100")
+    add = parser.add_argument
     add_file(parser, "a recording with frames and events")
-    parser.add_argument("-o", "--out", type=Path, required=True, metavar="OUT",
-                        help="folder to write to")
-    parser.add_argument(
-        "--region", action="append", default=[], type=_regions, metavar="ROI",
+    add("-o", "--out", type=Path, required=True, metavar="OUT",
+        help="folder to write to")
+    add("--region", action="append", default=[], type=_regions, metavar="ROI",
         help="[name=]x,y,w,h or [name=]x1,y1;x2,y2;... or a Fiji .roi or .zip or a "
              ".geojson; repeatable; default the whole image")
-    parser.add_argument(
-        "--estimate", choices=("stokes", "pixels"), default="stokes",
+    add("--estimate", choices=("stokes", "pixels"), default="stokes",
         help="DoLP and AoP of the mean Stokes vector, or their mean over pixels")
-    parser.add_argument("--load-hz", type=positive, metavar="HZ",
-                        help="frequency of the load, to 2 %%; default: the strongest "
-                             "in DoLP")
-    parser.add_argument(
-        "--smooth", type=int, choices=(1, 3, 5, 7), default=7, metavar="N",
+    add("--load-hz", type=positive, metavar="HZ",
+        help="frequency of the load, to 2 %%; default: the strongest in DoLP")
+    add("--smooth", type=int, choices=(1, 3, 5, 7), default=7, metavar="N",
         help="average the maps over N x N pixels: 1, 3, 5 or 7; default 7")
-    parser.add_argument("--background", metavar="FILE",
-                        help="a recording of the light without the sample: its S1/S0 "
-                             "and S2/S0 are subtracted")
-    parser.add_argument("--thickness-um", type=number, metavar="UM",
-                        help="thickness of the sample, for the birefringence")
-    parser.add_argument("--wavelength-nm", type=number, metavar="NM",
-                        help="wavelength of the light, for the birefringence")
-    load = parser.add_argument_group("load file")
-    load.add_argument("--load", metavar="CSV", help="force or displacement over time")
-    load.add_argument(
-        "--align", choices=("trigger", "offset", "correlation"),
-        help="how to align its clock; default: by triggers if both have them, by "
-             "--offset if it is given, else by correlation with DoLP")
-    load.add_argument("--offset", type=seconds, metavar="S",
-                      help="time of the recording at the file's zero, or that of an "
-                           "event in the recording less that in the file")
-    load.add_argument("--within", type=seconds, metavar="S",
-                      help="search by correlation within this of --offset; .5 with "
-                           "--align correlation")
-    load.add_argument("--load-sign", type=int, choices=(1, -1), default=1,
-                      help="1 if DoLP rises with the file's numbers (tension positive; "
-                           "default), -1 if it falls; for correlation")
-    load.add_argument("--skew-ppm", type=number, default=0.0, metavar="PPM",
-                      help="with --align offset: by how much its clock is slower")
-    parser.add_argument(
-        "--decimal", choices=(".", ","), default=".",
+    add("--background", metavar="FILE", help="a recording of the light without the "
+        "sample: its S1/S0 and S2/S0 are subtracted")
+    add("--thickness-um", type=number, metavar="UM",
+        help="thickness of the sample, for the birefringence")
+    add("--wavelength-nm", type=number, metavar="NM",
+        help="wavelength of the light, for the birefringence")
+    load = parser.add_argument_group("load file").add_argument
+    load("--load", metavar="CSV", help="force or displacement over time")
+    load("--align", choices=("trigger", "offset", "correlation"),
+         help="how to align its clock; default: by triggers if both have them, by "
+              "--offset if it is given, else by correlation with DoLP")
+    load("--offset", type=seconds, metavar="S", help="time of the recording at the "
+         "file's zero, or that of an event in the recording less that in the file")
+    load("--within", type=seconds, metavar="S", help="search by correlation within "
+         "this of --offset; .5 with --align correlation")
+    load("--load-sign", type=int, choices=(1, -1), default=1,
+         help="1 if DoLP rises with the file's numbers (tension positive; default), -1 "
+              "if it falls; for correlation")
+    load("--skew-ppm", type=number, default=0.0, metavar="PPM",
+         help="with --align offset: by how much its clock is slower")
+    add("--decimal", choices=(".", ","), default=".",
         help="decimal sign of the tables; with a comma, columns are separated by ;")
-    look = parser.add_argument_group("video")
-    look.add_argument("--no-video", action="store_true", help="write no video")
-    look.add_argument("--slow", type=number, default=4.0, metavar="FACTOR",
-                      help="factor of slow motion; default 4")
-    look.add_argument("--scale", type=within(1, 64), metavar="N",
-                      help="enlarge each pixel; default: panels fill a screen")
-    look.add_argument("--pixel-um", type=number, metavar="UM",
-                      help="size of a pixel in the object, for a scale bar")
+    look = parser.add_argument_group("video").add_argument
+    look("--no-video", action="store_true", help="write no video")
+    look("--slow", type=number, default=4.0, metavar="FACTOR",
+         help="factor of slow motion; default 4")
+    look("--scale", type=within(1, 64), metavar="N",
+         help="enlarge each pixel; default: panels fill a screen")
+    look("--pixel-um", type=number, metavar="UM",
+         help="size of a pixel in the object, for a scale bar")
     add_json_option(parser)
     add_fuse_options(parser)
     return parser
