@@ -13,23 +13,24 @@ from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.simulation import noise
 from pdavis_cv.simulation.checks import (
     MOST_DN,
+    Checked,
     positive,
-    present,
-    python_numbers,
     require,
+    ruled,
+    that,
     whole,
     within,
 )
 
 FloatArray = NDArray[np.float64]
 
-_LEAST_FPS, _MOST_FPS = 1e-12, 1e5
+_DN = within(0, MOST_DN)
 # A frame takes at most the range of times; in a piece of 10 ms there are at most 1000.
 _MOST_READOUT_US = 10_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class ApsPixel:
+class ApsPixel(Checked):
     """Parameters of the frame pixel and its clock; the defaults are an ideal one.
 
     Levels, noise and rates are at most 2**24: float32 resolves 1 DN up to there.
@@ -65,41 +66,28 @@ class ApsPixel:
         of all the light, so frames and events disagree where it is dim.
     """
 
-    fps: float = 20.0
-    exposure_us: int = 20_000
-    readout_us: int = 12_000
-    shutter: Literal["global", "rolling"] = "global"
-    adc_bits: int | None = None
-    full_well_dn: float = math.inf
-    reset_dn: float | None = None
-    reset_fpn_dn: float = 0.0
-    offset_fpn_dn: float = 0.0
-    ktc_dn: float = 0.0
-    read_noise_dn: float = 0.0
-    electrons_per_dn: float | None = None
-    dark_dn_s: float = 0.0
-    black_level_dn: float = 0.0
+    fps: float = ruled(20.0, within(1e-12, 1e5))
+    exposure_us: int = ruled(20_000, whole(1, FAR))
+    readout_us: int = ruled(12_000, whole(0, _MOST_READOUT_US))
+    shutter: Literal["global", "rolling"] = ruled("global", that(
+        lambda name: isinstance(name, str) and name in ("global", "rolling"),
+        "be 'global' or 'rolling'"))
+    adc_bits: int | None = ruled(None, whole(1, 16))
+    full_well_dn: float = ruled(
+        math.inf, within(0, math.inf), that(lambda dn: dn > 0, "be positive"))
+    reset_dn: float | None = ruled(None, positive, _DN)
+    reset_fpn_dn: float = ruled(0.0, _DN)
+    offset_fpn_dn: float = ruled(0.0, _DN)
+    ktc_dn: float = ruled(0.0, _DN)
+    read_noise_dn: float = ruled(0.0, _DN)
+    electrons_per_dn: float | None = ruled(None, positive, _DN)
+    dark_dn_s: float = ruled(0.0, _DN)
+    black_level_dn: float = ruled(0.0, _DN)
 
     def __post_init__(self) -> None:
-        python_numbers(self)
-        within(_LEAST_FPS, _MOST_FPS, fps=self.fps)
-        whole(self, 1, FAR, "exposure_us")
-        whole(self, 0, _MOST_READOUT_US, "readout_us")
-        optional = present(
-            electrons_per_dn=self.electrons_per_dn, reset_dn=self.reset_dn)
-        positive(**optional)
-        within(0, MOST_DN, reset_fpn_dn=self.reset_fpn_dn, ktc_dn=self.ktc_dn,
-               offset_fpn_dn=self.offset_fpn_dn, dark_dn_s=self.dark_dn_s,
-               read_noise_dn=self.read_noise_dn,
-               black_level_dn=self.black_level_dn, **optional)
-        within(0, math.inf, full_well_dn=self.full_well_dn)
-        require("full_well_dn", self.full_well_dn, self.full_well_dn > 0, "be positive")
+        super().__post_init__()
         require("exposure_us", self.exposure_us, self.exposure_us * self.fps <= 1e6,
                 f"be at most the frame interval at {self.fps:g} fps")
-        require("shutter", self.shutter, isinstance(self.shutter, str)
-                and self.shutter in ("global", "rolling"), "be 'global' or 'rolling'")
-        if self.adc_bits is not None:
-            whole(self, 1, 16, "adc_bits")
 
     @property
     def full_scale_dn(self) -> int:

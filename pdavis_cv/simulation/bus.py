@@ -8,11 +8,11 @@ import numpy as np
 from pdavis_cv._kernels import read_out
 from pdavis_cv._types import Events
 from pdavis_cv.events import EVENT_DTYPE
-from pdavis_cv.simulation.checks import python_numbers, within
+from pdavis_cv.simulation.checks import Checked, ruled, within
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bus:
+class Bus(Checked):
     """The DAVIS's word-serial address-event bus (AER, Boahen 2004).
 
     The arbiter serves rows round robin; all pending requests of a row get one time
@@ -26,13 +26,8 @@ class Bus:
         Time to switch to the next row, microseconds, at most a second.
     """
 
-    rate_hz: float = 10e6
-    row_us: float = 0.1
-
-    def __post_init__(self) -> None:
-        python_numbers(self)
-        within(1, 1e12, rate_hz=self.rate_hz)
-        within(0, 1e6, row_us=self.row_us)
+    rate_hz: float = ruled(10e6, within(1, 1e12))
+    row_us: float = ruled(0.1, within(0, 1e6))
 
 
 class BusState:

@@ -16,7 +16,7 @@ from pdavis_cv.recording.memory import MemoryRecording
 from pdavis_cv.sensor import Layout, Sensor
 from pdavis_cv.simulation.aps import ApsPixel
 from pdavis_cv.simulation.bus import Bus
-from pdavis_cv.simulation.checks import affordable, instance, positive, present, require
+from pdavis_cv.simulation.checks import affordable, instance, positive, require
 from pdavis_cv.simulation.dvs import DvsPixel
 from pdavis_cv.simulation.faults import Faults
 from pdavis_cv.simulation.optics import Optics
@@ -186,9 +186,10 @@ class Camera(Specimen):
         step_us : float, optional
             Interval at which the scene is sampled; default its own ``step_us``.
         """
-        instance(Scene, scene=scene)
-        seconds, step_us = plain(seconds), plain(step_us)
-        positive(seconds=seconds, **present(step_us=step_us))
+        instance(Scene)("scene", scene)
+        seconds, step_us = positive("seconds", plain(seconds)), plain(step_us)
+        if step_us is not None:
+            positive("step_us", step_us)
         threads = whole_number("threads", threads, 1, _MOST_THREADS)
         run = whole_number("run", run, 0, 2**63 - 1)
         require("seconds", seconds, seconds * 1e6 < FAR, "be less than 2**61 us")

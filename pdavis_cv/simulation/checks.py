@@ -3,11 +3,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
-from pdavis_cv._checks import MOST_ANGLE, MOST_RPM, real_number, whole_number
+from pdavis_cv._checks import MOST_ANGLE, MOST_RPM, plain, real_number, whole_number
 
 MOST_BYTES = 4 << 30
 """Most bytes that a simulation may hold in memory.  Engineering choice: a laptop has
@@ -22,61 +21,73 @@ MOST_DN = 2.0**24
 """Bound on levels and noise of frames: float32 resolves 1 DN up to there."""
 
 
-def require(name: str, value: object, holds: bool, rule: str) -> None:
-    """Raise ValueError unless the rule holds."""
+Rule = Callable[[str, Any], Any]
+"""Given the name and value of an argument, returns the value, or raises ValueError."""
+
+
+def require(name: str, value: Any, holds: bool, rule: str) -> Any:
+    """Return a value; raise ValueError unless the rule holds."""
     if not holds:
         raise ValueError(f"{name} must {rule}, got {value!r}")
+    return value
 
 
-def present(**values: Any) -> dict[str, Any]:
-    """Return the arguments that are not None: the rules hold for those given."""
-    return {name: value for name, value in values.items() if value is not None}
+def positive(name: str, value: Any) -> Any:
+    """Require a finite number above 0."""
+    return require(name, value, 0 < real_number(value) < math.inf,
+                   "be positive and finite")
 
 
-def positive(**values: float) -> None:
-    """Require finite numbers above 0."""
-    for name, value in values.items():
-        require(name, value, 0 < real_number(value) < math.inf,
-                "be positive and finite")
+def within(low: float, high: float) -> Rule:
+    """Return the rule that a number lies in low..high."""
+    return lambda name, value: require(
+        name, value, low <= real_number(value) <= high, f"lie in {low:g}..{high:g}")
 
 
-def fraction(**values: float) -> None:
-    """Require numbers in 0..1."""
-    within(0, 1, **values)
+def whole(low: int, high: int) -> Rule:
+    """Return the rule that a number is whole and of low..high."""
+    return lambda name, value: whole_number(name, value, low, high)
 
 
-def within(low: float, high: float, /, **values: float) -> None:
-    """Require numbers in low..high."""
-    for name, value in values.items():
-        require(name, value, low <= real_number(value) <= high,
-                f"lie in {low:g}..{high:g}")
+def instance(kind: type) -> Rule:
+    """Return the rule that an object is of a type."""
+    return that(lambda value: isinstance(value, kind), f"be a {kind.__name__}")
 
 
-def turning(rpm: float, **angles: float) -> None:
-    """Require a speed within `MOST_RPM` of 0, and angles within `MOST_ANGLE`."""
-    within(-MOST_RPM, MOST_RPM, rpm=rpm)
-    within(-MOST_ANGLE, MOST_ANGLE, **angles)
+def that(holds: Callable[[Any], bool], rule: str) -> Rule:
+    """Return a rule in the words of an error."""
+    return lambda name, value: require(name, value, holds(value), rule)
 
 
-def instance(kind: type, /, **values: object) -> None:
-    """Require objects of a type."""
-    for name, value in values.items():
-        require(name, value, isinstance(value, kind), f"be a {kind.__name__}")
+FRACTION = within(0, 1)
+LIGHT = within(0, MOST_LIGHT)
+RPM = within(-MOST_RPM, MOST_RPM)
+ANGLE = within(-MOST_ANGLE, MOST_ANGLE)
 
 
-def python_numbers(part: Any) -> None:
-    """Replace NumPy's numbers in a dataclass by Python's, which do not overflow."""
-    for field in dataclasses.fields(part):
-        value = getattr(part, field.name)
-        if isinstance(value, np.generic):
-            object.__setattr__(part, field.name, value.item())
+def rules(*each: Rule) -> dict[str, Any]:
+    """Return the metadata of a field of a `Checked` dataclass: rules of its value."""
+    return {"rules": each}
 
 
-def whole(part: Any, low: int, high: int, *names: str) -> None:
-    """Require whole numbers of low..high in these fields, and make them integers."""
-    for name in names:
-        number = whole_number(name, getattr(part, name), low, high)
-        object.__setattr__(part, name, number)
+def ruled(default: Any, *each: Rule) -> Any:
+    """Return a field with a default and rules of its value."""
+    return dataclasses.field(default=default, metadata=rules(*each))
+
+
+class Checked:
+    """Base of dataclasses whose fields have `rules`; a default None needs none.
+
+    NumPy's numbers become Python's, which do not overflow.
+    """
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):  # type: ignore[arg-type]
+            value = plain(getattr(self, field.name))
+            if value is not None or field.default is not None:
+                for rule in field.metadata.get("rules", ()):
+                    value = rule(field.name, value)
+            object.__setattr__(self, field.name, value)
 
 
 def affordable(what: str, size: float, /, **because: object) -> None:

@@ -13,13 +13,13 @@ from pdavis_cv._types import Events
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.simulation import noise
 from pdavis_cv.simulation.checks import (
+    FRACTION,
+    LIGHT,
     MOST_HZ,
-    MOST_LIGHT,
-    fraction,
+    Checked,
     positive,
-    present,
-    python_numbers,
     require,
+    ruled,
     within,
 )
 
@@ -30,12 +30,14 @@ _LAG_TERMS = 12     # of the series in `lag_weights`: the last is below 1e-16 th
 
 FloatArray = NDArray[np.float64]
 
-_LEAST_HZ = 1e-12       # a period is at most the range of times, 2**61 us
-_LEAST_THETA, _MOST_THETA = 1e-3, 100.0     # 0.1 % of light, and more than its range
+_MOST_THETA = 100.0     # more than the range of light
+_THETA = within(1e-3, _MOST_THETA)      # from 0.1 % of light
+_CUTOFF = within(1e-12, MOST_HZ)    # a period is at most the range of times, 2**61 us
+_HZ = within(0, MOST_HZ)
 
 
 @dataclass(frozen=True, kw_only=True)
-class DvsPixel:
+class DvsPixel(Checked):
     """Parameters of the event pixel; the defaults are an ideal one.
 
     Rates and frequencies are at most 500,000, half the rate of the clock, which counts
@@ -89,44 +91,28 @@ class DvsPixel:
         Duration of such a burst, at most a second: its events are uniform in it.
     """
 
-    theta_on: float = 0.15
-    theta_off: float = 0.15
-    mismatch: float = 0.0
-    mismatch_ln: float = 0.0
-    cutoff_hz: float | None = None
-    cutoff_hz_per_dn_ms: float = 0.0
-    second_pole_hz: float | None = None
-    dark_dn_ms: float = 0.0
-    refractory_us: float = 0.0
-    leak_hz: float = 0.0
-    leak_sigma: float = 0.0
-    leak_hz_per_dn_ms: float = 0.0
-    shot_noise_hz: float = 0.0
-    shot_noise_bright_factor: float = 0.25
-    bright_dn_ms: float = 51.0
-    hot_fraction: float = 0.0
-    hot_hz: float = 100.0
-    burst_chance: float = 0.0
-    burst_us: float = 200.0
+    theta_on: float = ruled(0.15, _THETA)
+    theta_off: float = ruled(0.15, _THETA)
+    mismatch: float = ruled(0.0, FRACTION)
+    mismatch_ln: float = ruled(0.0, within(0, _MOST_THETA))
+    cutoff_hz: float | None = ruled(None, _CUTOFF)
+    cutoff_hz_per_dn_ms: float = ruled(0.0, LIGHT)
+    second_pole_hz: float | None = ruled(None, _CUTOFF)
+    dark_dn_ms: float = ruled(0.0, LIGHT)
+    refractory_us: float = ruled(0.0, within(0, FAR))
+    leak_hz: float = ruled(0.0, _HZ)
+    leak_sigma: float = ruled(0.0, FRACTION)
+    leak_hz_per_dn_ms: float = ruled(0.0, LIGHT)
+    shot_noise_hz: float = ruled(0.0, _HZ)
+    shot_noise_bright_factor: float = ruled(0.25, FRACTION)
+    bright_dn_ms: float = ruled(51.0, positive, LIGHT)
+    hot_fraction: float = ruled(0.0, FRACTION)
+    hot_hz: float = ruled(100.0, _HZ)
+    burst_chance: float = ruled(0.0, FRACTION)
+    burst_us: float = ruled(200.0, positive, within(0, 1e6))
 
     def __post_init__(self) -> None:
-        python_numbers(self)
-        cutoffs = present(cutoff_hz=self.cutoff_hz, second_pole_hz=self.second_pole_hz)
-        positive(bright_dn_ms=self.bright_dn_ms, burst_us=self.burst_us)
-        within(_LEAST_THETA, _MOST_THETA, theta_on=self.theta_on,
-               theta_off=self.theta_off)
-        within(0, MOST_HZ, leak_hz=self.leak_hz, shot_noise_hz=self.shot_noise_hz,
-               hot_hz=self.hot_hz)
-        within(_LEAST_HZ, MOST_HZ, **cutoffs)
-        within(0, MOST_LIGHT, cutoff_hz_per_dn_ms=self.cutoff_hz_per_dn_ms,
-               leak_hz_per_dn_ms=self.leak_hz_per_dn_ms, dark_dn_ms=self.dark_dn_ms,
-               bright_dn_ms=self.bright_dn_ms)
-        within(0, FAR, refractory_us=self.refractory_us)
-        within(0, 1e6, burst_us=self.burst_us)
-        fraction(mismatch=self.mismatch, leak_sigma=self.leak_sigma)
-        within(0, _MOST_THETA, mismatch_ln=self.mismatch_ln)
-        fraction(shot_noise_bright_factor=self.shot_noise_bright_factor,
-                 hot_fraction=self.hot_fraction, burst_chance=self.burst_chance)
+        super().__post_init__()
         for name in ("theta_on", "theta_off"):
             sigma = math.hypot(self.mismatch * getattr(self, name), self.mismatch_ln)
             which = "mismatch_ln" if self.mismatch_ln else "mismatch"

@@ -7,15 +7,15 @@ import numpy as np
 
 from pdavis_cv._types import Events
 from pdavis_cv.simulation import noise
-from pdavis_cv.simulation.checks import fraction, python_numbers, require, whole, within
+from pdavis_cv.simulation.checks import FRACTION, Checked, ruled, that, whole, within
 
 _MOST_OFFSET_US = 10_000_000
-_LARGEST_DRIFT = 0.5
-"""Bound on the relative drift of the thresholds over a recording."""
+_DRIFT = within(-0.5, 0.5)
+"""Rule of the relative drift of the thresholds over a recording."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Faults:
+class Faults(Checked):
     """Faults of stamps and streams; the defaults are none.
 
     Parameters
@@ -36,20 +36,11 @@ class Faults:
         end, linear in time; within .5 of 0.
     """
 
-    frame_offset_us: int = 0
-    jitter_us: float = 0.0
-    lost: float = 0.0
-    drift_on: float = 0.0
-    drift_off: float = 0.0
-
-    def __post_init__(self) -> None:
-        python_numbers(self)
-        whole(self, -_MOST_OFFSET_US, _MOST_OFFSET_US, "frame_offset_us")
-        within(0, 1e6, jitter_us=self.jitter_us)
-        fraction(lost=self.lost)
-        require("lost", self.lost, self.lost < 1, "be below 1")
-        within(-_LARGEST_DRIFT, _LARGEST_DRIFT, drift_on=self.drift_on,
-               drift_off=self.drift_off)
+    frame_offset_us: int = ruled(0, whole(-_MOST_OFFSET_US, _MOST_OFFSET_US))
+    jitter_us: float = ruled(0.0, within(0, 1e6))
+    lost: float = ruled(0.0, FRACTION, that(lambda lost: lost < 1, "be below 1"))
+    drift_on: float = ruled(0.0, _DRIFT)
+    drift_off: float = ruled(0.0, _DRIFT)
 
     def threshold_factors(self, part: float) -> tuple[float, float]:
         """Return the factors on ON and OFF thresholds at a fraction of the duration."""

@@ -9,21 +9,16 @@ from numpy.typing import NDArray
 
 from pdavis_cv.sensor import Layout
 from pdavis_cv.simulation import noise
-from pdavis_cv.simulation.checks import (
-    fraction,
-    instance,
-    python_numbers,
-    require,
-    within,
-)
+from pdavis_cv.simulation.checks import FRACTION, Checked, instance, ruled, that, within
 
 FloatArray = NDArray[np.float64]
 
 _MOST_RATIO = 1e12      # far above any polarizer; a float still tells it from infinity
+_HALF_TURN = within(0, math.pi)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Optics:
+class Optics(Checked):
     """Layout of the polarizers, and their spread and that of the sensitivity.
 
     A pixel behind an analyser at angle a sees
@@ -46,26 +41,15 @@ class Optics:
         Relative spread of sensitivity: per pixel, and the fall towards the corners.
     """
 
-    layout: Layout = Layout.PDAVIS
-    extinction_ratio: float = 40.0
-    extinction_ratio_sigma: float = 0.0
-    angle_sigma: float = 0.0
-    angle_smooth: float = 0.0
-    gain_sigma: float = 0.0
-    gain_smooth: float = 0.0
-
-    def __post_init__(self) -> None:
-        python_numbers(self)
-        instance(Layout, layout=self.layout)
-        within(1, _MOST_RATIO, extinction_ratio=self.extinction_ratio)
-        require("extinction_ratio", self.extinction_ratio, self.extinction_ratio > 1,
-                "be above 1")
-        within(0, _MOST_RATIO, extinction_ratio_sigma=self.extinction_ratio_sigma)
-        within(0, math.pi, angle_sigma=self.angle_sigma, angle_smooth=self.angle_smooth)
-        fraction(gain_sigma=self.gain_sigma, gain_smooth=self.gain_smooth)
-        require("gain_smooth", self.gain_smooth, self.gain_smooth < 1, "be below 1")
-        require("gain_sigma", self.gain_sigma, self.gain_sigma < 0.2,
-                "be below 0.2 for gains to stay positive")
+    layout: Layout = ruled(Layout.PDAVIS, instance(Layout))
+    extinction_ratio: float = ruled(
+        40.0, within(1, _MOST_RATIO), that(lambda ratio: ratio > 1, "be above 1"))
+    extinction_ratio_sigma: float = ruled(0.0, within(0, _MOST_RATIO))
+    angle_sigma: float = ruled(0.0, _HALF_TURN)
+    angle_smooth: float = ruled(0.0, _HALF_TURN)
+    gain_sigma: float = ruled(0.0, FRACTION, that(
+        lambda gain: gain < 0.2, "be below 0.2 for gains to stay positive"))
+    gain_smooth: float = ruled(0.0, FRACTION, that(lambda gain: gain < 1, "be below 1"))
 
     def maps(
         self, seed: int, size: tuple[int, int], origin: tuple[int, int],

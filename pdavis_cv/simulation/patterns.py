@@ -4,7 +4,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,14 +14,18 @@ from pdavis_cv._checks import MOST_ANGLE, MOST_SIDE, place
 from pdavis_cv.sensor import Sensor
 from pdavis_cv.simulation import noise
 from pdavis_cv.simulation.checks import (
+    ANGLE,
+    FRACTION,
+    LIGHT,
     MOST_HZ,
-    MOST_LIGHT,
     MOST_SEED,
-    fraction,
+    RPM,
+    Checked,
     positive,
-    python_numbers,
     require,
-    turning,
+    ruled,
+    rules,
+    that,
     whole,
     within,
 )
@@ -43,7 +47,8 @@ _KEPT_PLACES = 8192     # most pixels of which a wheel's constant maps are cache
 _EDGE_SAMPLES = 16      # while a soft edge passes a pixel at the rim
 _MOST_WAVES = 1024
 _MOST_PX_S = 1e6        # a pixel per tick of the clock
-_LEAST_PX = 0.01        # shortest structure of a scene: a hundredth of a pixel
+_PX = within(0.01, MOST_SIDE)
+"""From the shortest structure of a scene: a hundredth of a pixel."""
 
 
 def smooth_edge(u: FloatArray) -> FloatArray:
@@ -53,7 +58,7 @@ def smooth_edge(u: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fan(Scene):
+class Fan(Checked, Scene):
     """Six polarizers in a wheel, 30 degrees apart, one half of it lit far brighter.
 
     Sector k covers 60 degrees; its polarizer stands at 30 k degrees on the wheel and
@@ -79,24 +84,18 @@ class Fan(Scene):
         Unpolarized S0 of hub and surround, relative to S0 behind the wheel.
     """
 
-    rpm: float
-    s0: float = FULL
-    bright: float = 2000.0
-    start_angle: float = 0.0
-    centre: tuple[float, float] = _MIDDLE
-    radius: float = 125.0
-    hub: float = 20.0
-    edge: float = 2.0
-    opaque: float = 0.05
+    rpm: float = field(metadata=rules(RPM))
+    s0: float = ruled(FULL, positive, LIGHT)
+    bright: float = ruled(2000.0, positive, LIGHT)
+    start_angle: float = ruled(0.0, ANGLE)
+    centre: tuple[float, float] = ruled(_MIDDLE, place)
+    radius: float = ruled(125.0, _PX)
+    hub: float = ruled(20.0, positive)
+    edge: float = ruled(2.0, _PX)
+    opaque: float = ruled(0.05, FRACTION)
 
     def __post_init__(self) -> None:
-        python_numbers(self)
-        object.__setattr__(self, "centre", place("centre", self.centre))
-        turning(self.rpm, start_angle=self.start_angle)
-        positive(s0=self.s0, bright=self.bright, hub=self.hub)
-        within(0, MOST_LIGHT, s0=self.s0, bright=self.bright)
-        within(_LEAST_PX, MOST_SIDE, radius=self.radius, edge=self.edge)
-        fraction(opaque=self.opaque)
+        super().__post_init__()
         require("radius", self.radius, self.radius > self.hub, "exceed hub")
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
@@ -182,7 +181,7 @@ _still_of_rows = functools.lru_cache(maxsize=64)(_still)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tendon(Scene):
+class Tendon(Checked, Scene):
     """Circularly polarized light through a fibre sheet that is pulled in cycles.
 
     A birefringent fibre of retardance d whose axis stands at angle f turns circular
@@ -214,32 +213,21 @@ class Tendon(Scene):
         0.
     """
 
-    hz: float = 1.0
-    strain_low: float = 0.02
-    strain_high: float = 0.03
-    s0: float = FULL
-    retardance: float = 0.5
-    gain: float = 0.4
-    fibre_angle: float = 0.1
-    fibre_width: float = 9.0
-    crimp_angle: float = 0.25
-    crimp_length: float = 60.0
-    contrast: float = 0.4
-    fixed: tuple[float, float] = (0.0, _MIDDLE[1])
+    hz: float = ruled(1.0, positive, within(0, MOST_HZ))
+    strain_low: float = ruled(0.02, FRACTION)
+    strain_high: float = ruled(0.03, FRACTION)
+    s0: float = ruled(FULL, positive, LIGHT)
+    retardance: float = ruled(0.5, within(0, MOST_ANGLE))
+    gain: float = ruled(0.4, FRACTION)
+    fibre_angle: float = ruled(0.1, ANGLE)
+    fibre_width: float = ruled(9.0, _PX)
+    crimp_angle: float = ruled(0.25, within(0, math.pi / 2))
+    crimp_length: float = ruled(60.0, _PX)
+    contrast: float = ruled(0.4, FRACTION)
+    fixed: tuple[float, float] = ruled((0.0, _MIDDLE[1]), place)
 
     def __post_init__(self) -> None:
-        python_numbers(self)
-        object.__setattr__(self, "fixed", place("fixed", self.fixed))
-        positive(hz=self.hz, s0=self.s0)
-        within(0, MOST_HZ, hz=self.hz)
-        within(0, MOST_LIGHT, s0=self.s0)
-        within(0, MOST_ANGLE, retardance=self.retardance)
-        within(-MOST_ANGLE, MOST_ANGLE, fibre_angle=self.fibre_angle)
-        within(0, math.pi / 2, crimp_angle=self.crimp_angle)
-        within(_LEAST_PX, MOST_SIDE, fibre_width=self.fibre_width,
-               crimp_length=self.crimp_length)
-        fraction(contrast=self.contrast, gain=self.gain, strain_low=self.strain_low,
-                 strain_high=self.strain_high)
+        super().__post_init__()
         require("strain_high", self.strain_high, self.strain_high > self.strain_low,
                 f"exceed strain_low = {self.strain_low}")
 
@@ -321,7 +309,7 @@ def _plane_waves(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Texture(Scene):
+class Texture(Checked, Scene):
     """A random texture of S0, DoLP and AoP that moves as a whole, amplitudes 1/f.
 
     Each is a function of a sum of plane waves: the exponential (S0), the sine (DoLP)
@@ -347,31 +335,21 @@ class Texture(Scene):
         Seed of the texture, 0 to 2**64 - 1.
     """
 
-    velocity: tuple[float, float] = (200.0, 60.0)
-    s0: float = FULL
-    contrast: float = 0.5
-    dolp: float = 0.5
-    dolp_spread: float = 0.4
-    aop: float = 0.8
-    aop_spread: float = 0.6
-    longest: float = 120.0
-    shortest: float = 8.0
-    waves: int = 12
-    seed: int = 0
+    velocity: tuple[float, float] = ruled(
+        (200.0, 60.0), lambda name, value: place(name, value, _MOST_PX_S))
+    s0: float = ruled(FULL, positive, LIGHT)
+    contrast: float = ruled(0.5, within(0, 10))
+    dolp: float = ruled(0.5, FRACTION)
+    dolp_spread: float = ruled(0.4, FRACTION)
+    aop: float = ruled(0.8, ANGLE)
+    aop_spread: float = ruled(0.6, within(0, math.pi))
+    longest: float = ruled(120.0, _PX)
+    shortest: float = ruled(8.0, _PX)
+    waves: int = ruled(12, whole(1, _MOST_WAVES))
+    seed: int = ruled(0, whole(0, MOST_SEED))
 
     def __post_init__(self) -> None:
-        python_numbers(self)
-        velocity = place("velocity", self.velocity, _MOST_PX_S)
-        object.__setattr__(self, "velocity", velocity)
-        positive(s0=self.s0)
-        within(0, MOST_LIGHT, s0=self.s0)
-        within(0, 10, contrast=self.contrast)
-        within(-MOST_ANGLE, MOST_ANGLE, aop=self.aop)
-        within(0, math.pi, aop_spread=self.aop_spread)
-        fraction(dolp=self.dolp, dolp_spread=self.dolp_spread)
-        within(_LEAST_PX, MOST_SIDE, longest=self.longest, shortest=self.shortest)
-        whole(self, 1, _MOST_WAVES, "waves")
-        whole(self, 0, MOST_SEED, "seed")
+        super().__post_init__()
         require("shortest", self.shortest, self.shortest <= self.longest,
                 f"be at most longest = {self.longest}")
         require("dolp", self.dolp,
@@ -415,7 +393,7 @@ class Texture(Scene):
 
 
 @dataclass(frozen=True)
-class FunctionScene(Scene):
+class FunctionScene(Checked, Scene):
     """A scene given by a function of time and place.
 
     Parameters
@@ -429,14 +407,10 @@ class FunctionScene(Scene):
         Whether the light is the same everywhere, which is faster to simulate.
     """
 
-    function: Callable[[FloatArray, FloatArray, FloatArray], Stokes]
-    sampling_us: float = 100.0
+    function: Callable[[FloatArray, FloatArray, FloatArray], Stokes] = field(
+        metadata=rules(that(callable, "be callable")))
+    sampling_us: float = ruled(100.0, positive)
     uniform: bool = False
-
-    def __post_init__(self) -> None:
-        python_numbers(self)
-        require("function", self.function, callable(self.function), "be callable")
-        positive(sampling_us=self.sampling_us)
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> Stokes:
         """S0, S1, S2 in DN per ms."""

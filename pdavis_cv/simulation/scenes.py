@@ -10,22 +10,24 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv._checks import MOST_ANGLE
 from pdavis_cv.sensor import Layout
 from pdavis_cv.simulation.checks import (
+    ANGLE,
+    FRACTION,
+    LIGHT,
     MOST_HZ,
-    MOST_LIGHT,
-    fraction,
+    RPM,
+    Checked,
     instance,
     positive,
-    python_numbers,
-    require,
-    turning,
+    ruled,
+    rules,
+    that,
     within,
 )
 
@@ -86,6 +88,9 @@ class Scene(ABC):
         return Flicker(self, hz=2 * mains_hz, depth=depth)
 
 
+_SCENE = instance(Scene)
+
+
 def same_everywhere(t_us: ArrayLike, x: ArrayLike, y: ArrayLike) -> FloatArray:
     """Return time as float64, broadcast to the common shape of t, x and y."""
     return np.broadcast_arrays(np.asarray(t_us, np.float64), x, y)[0]
@@ -109,7 +114,7 @@ def rad_per_us(rpm: float) -> float:
 
 
 @dataclass(frozen=True)
-class Sum(Scene):
+class Sum(Checked, Scene):
     """The incoherent sum of two scenes.
 
     Parameters
@@ -118,11 +123,8 @@ class Sum(Scene):
         Scenes; the mask `lit` is that of the first.
     """
 
-    first: Scene
-    second: Scene
-
-    def __post_init__(self) -> None:
-        instance(Scene, first=self.first, second=self.second)
+    first: Scene = field(metadata=rules(_SCENE))
+    second: Scene = field(metadata=rules(_SCENE))
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
@@ -145,7 +147,7 @@ class Sum(Scene):
 
 
 @dataclass(frozen=True)
-class Coloured(Scene):
+class Coloured(Checked, Scene):
     """Light of three colours, of which a pixel sees that of its filter.
 
     It is for cameras whose `Optics` have the same layout.  The truth of a colour is
@@ -159,16 +161,11 @@ class Coloured(Scene):
         Of the whole sensor, with colours.
     """
 
-    red: Scene
-    green: Scene
-    blue: Scene
-    layout: Layout
-
-    def __post_init__(self) -> None:
-        instance(Scene, red=self.red, green=self.green, blue=self.blue)
-        instance(Layout, layout=self.layout)
-        require("layout", str(self.layout), self.layout.colours is not None,
-                "have colours")
+    red: Scene = field(metadata=rules(_SCENE))
+    green: Scene = field(metadata=rules(_SCENE))
+    blue: Scene = field(metadata=rules(_SCENE))
+    layout: Layout = field(metadata=rules(instance(Layout), that(
+        lambda layout: layout.colours is not None, "have colours")))
 
     @property
     def step_us(self) -> float:
@@ -192,7 +189,7 @@ class Coloured(Scene):
 
 
 @dataclass(frozen=True)
-class Flicker(Scene):
+class Flicker(Checked, Scene):
     """A scene under a lamp whose light is 1 + depth cos(2 pi hz t).
 
     Parameters
@@ -205,16 +202,9 @@ class Flicker(Scene):
         0..1, 1 excluded where the light must not vanish.
     """
 
-    scene: Scene
-    hz: float = 100.0
-    depth: float = 0.2
-
-    def __post_init__(self) -> None:
-        python_numbers(self)
-        instance(Scene, scene=self.scene)
-        positive(hz=self.hz)
-        within(0, MOST_HZ, hz=self.hz)
-        fraction(depth=self.depth)
+    scene: Scene = field(metadata=rules(_SCENE))
+    hz: float = ruled(100.0, positive, within(0, MOST_HZ))
+    depth: float = ruled(0.2, FRACTION)
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
@@ -239,7 +229,7 @@ class Flicker(Scene):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FlatLight(Scene):
+class FlatLight(Checked, Scene):
     """Constant, uniform light; ``s0=0`` is darkness.
 
     Parameters
@@ -250,16 +240,10 @@ class FlatLight(Scene):
         Degree and angle (radians, within 1e6 of 0) of linear polarization.
     """
 
-    s0: float = FULL
-    dolp: float = 0.0
-    aop: float = 0.0
+    s0: float = ruled(FULL, LIGHT)
+    dolp: float = ruled(0.0, FRACTION)
+    aop: float = ruled(0.0, ANGLE)
     uniform = True
-
-    def __post_init__(self) -> None:
-        python_numbers(self)
-        within(0, MOST_LIGHT, s0=self.s0)
-        fraction(dolp=self.dolp)
-        within(-MOST_ANGLE, MOST_ANGLE, aop=self.aop)
 
     @property
     def step_us(self) -> float:
@@ -273,20 +257,14 @@ class FlatLight(Scene):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Turning(Scene):
+class _Turning(Checked, Scene):
     """What turns before a uniform lamp."""
 
-    rpm: float
-    s0: float = FULL
-    start_angle: float = 0.0
+    rpm: float = field(metadata=rules(RPM))
+    s0: float = ruled(FULL, LIGHT)
+    start_angle: float = ruled(0.0, ANGLE)
     uniform = True
     cycles = 2      # of the light in a turn
-
-    def __post_init__(self) -> None:
-        python_numbers(self)
-        turning(self.rpm, **{name: value for name, value in vars(self).items()
-                             if name not in ("rpm", "s0", "dolp")})
-        within(0, MOST_LIGHT, s0=self.s0)
 
     @property
     def step_us(self) -> float:
@@ -321,11 +299,7 @@ class RotatingPolarizer(_Turning):
         Degree of linear polarization of the light, 0..1.
     """
 
-    dolp: float = 1.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        fraction(dolp=self.dolp)
+    dolp: float = ruled(1.0, FRACTION)
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
         """S0, S1, S2 in DN per ms."""
@@ -352,8 +326,8 @@ class PolarizerBeforePlate(_Turning):
         Radians, within 1e6 of 0; pi/2 for a quarter-wave plate.
     """
 
-    axis: float = 0.0
-    retardance: float = math.pi / 2
+    axis: float = ruled(0.0, ANGLE)
+    retardance: float = ruled(math.pi / 2, ANGLE)
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
         """S0, S1, S2 in DN per ms."""
@@ -381,8 +355,8 @@ class RotatingPlate(_Turning):
         Radians, within 1e6 of 0; pi/2 for a quarter-wave plate.
     """
 
-    polarizer: float = 0.0
-    retardance: float = math.pi / 2
+    polarizer: float = ruled(0.0, ANGLE)
+    retardance: float = ruled(math.pi / 2, ANGLE)
     cycles = 4
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:

@@ -8,7 +8,7 @@ from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.sensor import Layout, Sensor
 from pdavis_cv.simulation.aps import ApsPixel
 from pdavis_cv.simulation.bus import Bus
-from pdavis_cv.simulation.checks import instance, present, require
+from pdavis_cv.simulation.checks import instance, require
 from pdavis_cv.simulation.dvs import DvsPixel
 from pdavis_cv.simulation.faults import Faults
 from pdavis_cv.simulation.optics import Optics
@@ -25,7 +25,7 @@ class Specimen:
         size: tuple[int, int] = (12, 12), origin: tuple[int, int] | None = None,
         sensor: Sensor = Sensor.PDAVIS, name: str = "simulated",
     ) -> None:
-        instance(Sensor, sensor=sensor)
+        instance(Sensor)("sensor", sensor)
         size = height, width = sensor_shape(size, "size")
         if origin is None:
             origin = ((sensor.size[0] - height) // 4 * 2,
@@ -41,11 +41,11 @@ class Specimen:
         seed = plain(seed)
         require("seed", seed, isinstance(seed, int) and seed >= 0,
                 "be an integer of at least 0")
-        instance(Optics, **present(optics=optics))
-        instance(DvsPixel, **present(dvs=dvs))
-        instance(ApsPixel, **present(aps=aps))
-        instance(Bus, **present(bus=bus))
-        instance(Faults, **present(faults=faults))
+        for part, one, kind in (
+                ("optics", optics, Optics), ("dvs", dvs, DvsPixel),
+                ("aps", aps, ApsPixel), ("bus", bus, Bus), ("faults", faults, Faults)):
+            if one is not None:
+                instance(kind)(part, one)
         require("dvs and aps", None, dvs is not None or aps is not None,
                 "not both be None")
         self.faults = Faults() if faults is None else faults

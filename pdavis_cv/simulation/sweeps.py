@@ -7,14 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdavis_cv._checks import MOST_ANGLE
 from pdavis_cv.events import FAR
 from pdavis_cv.simulation.checks import (
+    ANGLE,
+    FRACTION,
+    LIGHT,
     MOST_LIGHT,
-    fraction,
-    python_numbers,
+    RPM,
+    Checked,
     require,
-    turning,
+    ruled,
     whole,
     within,
 )
@@ -29,7 +31,9 @@ from pdavis_cv.simulation.scenes import (
     step_of,
 )
 
-_LEAST_US = 1e-3    # shortest movement of a stage, far below the clock's microsecond
+_US = within(1e-3, FAR)
+"""From the shortest movement of a stage, far below the clock's microsecond."""
+_UW_CM2 = within(1 / MOST_LIGHT, MOST_LIGHT)
 
 
 def staircase(t_us: FloatArray, hold_us: float, move_us: float) -> FloatArray:
@@ -44,7 +48,7 @@ def staircase(t_us: FloatArray, hold_us: float, move_us: float) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MalusSweep(Scene):
+class MalusSweep(Checked, Scene):
     """A polarizer that is turned in steps and held, as on a calibration bench.
 
     Parameters
@@ -60,22 +64,18 @@ class MalusSweep(Scene):
         radians, within 1e6 of 0.
     """
 
-    step: float = math.radians(5)
-    hold_us: float = 250_000
-    move_us: float = 20_000
-    s0: float = FULL
-    dolp: float = 1.0
-    start_angle: float = 0.0
+    step: float = ruled(math.radians(5), ANGLE)
+    hold_us: float = ruled(250_000, _US)
+    move_us: float = ruled(20_000, _US)
+    s0: float = ruled(FULL, LIGHT)
+    dolp: float = ruled(1.0, FRACTION)
+    start_angle: float = ruled(0.0, ANGLE)
     uniform = True
 
     def __post_init__(self) -> None:
-        python_numbers(self)
-        within(_LEAST_US, FAR, hold_us=self.hold_us, move_us=self.move_us)
+        super().__post_init__()
         require("move_us", self.move_us, self.move_us <= self.hold_us,
                 "be at most hold_us")
-        within(-MOST_ANGLE, MOST_ANGLE, step=self.step, start_angle=self.start_angle)
-        within(0, MOST_LIGHT, s0=self.s0)
-        fraction(dolp=self.dolp)
 
     def stokes(self, t_us: ArrayLike, x: ArrayLike = 0, y: ArrayLike = 0) -> Stokes:
         """S0, S1, S2 in DN per ms."""
@@ -90,7 +90,7 @@ class MalusSweep(Scene):
 
 
 @dataclass(frozen=True, kw_only=True)
-class IrradianceSweep(Scene):
+class IrradianceSweep(Checked, Scene):
     """A rotating polarizer under irradiance that rises in equal ratios.
 
     Parameters
@@ -113,22 +113,14 @@ class IrradianceSweep(Scene):
         AoP at time 0, radians, within 1e6 of 0.
     """
 
-    rpm: float = 60.0
-    low_uw_cm2: float = 0.04
-    high_uw_cm2: float = 42_000.0
-    levels: int = 13
-    hold_us: float = 2_000_000
-    dn_per_ms: float = 27.0
-    start_angle: float = 0.0
+    rpm: float = ruled(60.0, RPM)
+    low_uw_cm2: float = ruled(0.04, _UW_CM2)
+    high_uw_cm2: float = ruled(42_000.0, _UW_CM2)
+    levels: int = ruled(13, whole(1, 1_000_000))
+    hold_us: float = ruled(2_000_000, _US)
+    dn_per_ms: float = ruled(27.0, within(1 / MOST_LIGHT, MOST_LIGHT))
+    start_angle: float = ruled(0.0, ANGLE)
     uniform = True
-
-    def __post_init__(self) -> None:
-        python_numbers(self)
-        turning(self.rpm, start_angle=self.start_angle)
-        within(1 / MOST_LIGHT, MOST_LIGHT, low_uw_cm2=self.low_uw_cm2,
-               high_uw_cm2=self.high_uw_cm2, dn_per_ms=self.dn_per_ms)
-        whole(self, 1, 1_000_000, "levels")
-        within(_LEAST_US, FAR, hold_us=self.hold_us)
 
     def irradiance(self, t_us: ArrayLike) -> FloatArray:
         """Irradiance in microwatt per cm2."""
