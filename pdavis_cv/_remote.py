@@ -3,11 +3,11 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import importlib
 import os
 from pathlib import Path, PurePosixPath
 from typing import Any, cast
 
+from pdavis_cv._packages import package
 from pdavis_cv.errors import RecordingError
 
 _BLOCK = 1 << 20
@@ -49,11 +49,8 @@ class RemotePath(PurePosixPath):
     @property
     def store(self) -> Any:
         """The fsspec file system; an ImportError tells which package it lacks."""
-        try:
-            fsspec = importlib.import_module("fsspec")
-        except ImportError as error:
-            raise ImportError(
-                f"{self} needs fsspec: pip install 'pdavis-cv[remote]'") from error
+        fsspec = package(
+            "fsspec", f"{self} needs fsspec: pip install 'pdavis-cv[remote]'")
         return fsspec.filesystem(str(self).partition("://")[0])
 
     def _facts(self) -> dict[str, Any]:

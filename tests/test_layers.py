@@ -26,7 +26,8 @@ LINES = (
     ("polarimetry", "stokes_vector", "analyser", "camera_array", "steps", "turning",
      "mosaic", "colour_mosaic", "aps", "packed", "events", "quantities"),
     ("sensor", "errors", "_advice", "_arrays", "_beside", "_checks", "_opencv",
-     "_door", "_options", "_remote", "_text", "_types", "_workers", "data", "registry"),
+     "_door", "_options", "_packages", "_remote", "_text", "_types", "_workers", "data",
+     "registry"),
     ("_kernels",),
 )
 LINE = {room: i for i, line in enumerate(LINES) for room in line}

@@ -14,7 +14,6 @@ import argparse
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ import numpy as np
 
 from pdavis_cv import PolarFrame, Recording, export, fuse, render
 from pdavis_cv._opencv import opencv
+from pdavis_cv._packages import package
 from pdavis_cv.colour_mosaic import COLOURS
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.quantities import GROUPS, INTENSITY, QUANTITIES, chosen
@@ -64,8 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     known = (*_COLOUR, *export.FIGURES, *_STACKS, *_BAGS)
     if suffix not in known:
         raise UsageError(f"-o must end in {', '.join(known)}, got {args.out}")
-    if figure(args) and find_spec("matplotlib") is None:
-        raise UsageError("a figure needs matplotlib: pip install matplotlib")
+    if figure(args):
+        package("matplotlib", "a figure needs matplotlib: pip install matplotlib")
     if args.resume and suffix not in _STACKS:
         raise UsageError(f"--resume continues {', '.join(_STACKS)}, got {args.out}")
     if _ranges(args) and suffix in _STACKS:

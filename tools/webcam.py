@@ -8,6 +8,7 @@ import argparse
 from collections.abc import Sequence
 
 from pdavis_cv._opencv import opencv
+from pdavis_cv._packages import package
 
 from ._common import Parser, UsageError, add_json_option, command, tell_now
 from ._interrupts import ended_by_signals
@@ -19,11 +20,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run ``pdavis webcam``."""
     args = _parser().parse_args(argv)
     from pdavis_cv import VideoCapture
-    try:
-        import pyvirtualcam
-    except ImportError:
-        raise UsageError("a virtual camera needs a package: pip install pyvirtualcam "
-                         "(extra [webcam])") from None
+    pyvirtualcam = package("pyvirtualcam", "a virtual camera needs a package: pip "
+                           "install pyvirtualcam (extra [webcam])")
     sent = 0
     with VideoCapture(args.file, output=args.output, **source_given(args),
                       **fusion_given(args)) as capture, ended_by_signals():

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv._packages import package
+
 _MOST_BYTES = 1 << 26
 """Largest size of all regions of an archive, bytes; one has a few hundred."""
 _UNSUPPORTED = ("LINE", "FREELINE", "POLYLINE", "NOROI", "ANGLE", "POINT")
@@ -235,11 +237,8 @@ def read_rois(path: str | Path) -> list[Roi]:
     """
     if Path(path).suffix.lower() in (".json", ".geojson"):
         return _from_geojson(Path(path))
-    try:
-        import roifile
-    except ImportError:
-        raise ImportError(
-            "reading Fiji regions needs roifile: pip install roifile") from None
+    roifile = package(
+        "roifile", "reading Fiji regions needs roifile: pip install roifile")
     path = Path(path)
     with path.open("rb") as file:
         magic = file.read(4)

@@ -5,8 +5,8 @@ import importlib
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any
 
+from pdavis_cv._packages import package
 from pdavis_cv._workers import usable_cores
 
 EXECUTORS = "process, dask:tcp://HOST:PORT or MODULE:FUNCTION"
@@ -79,12 +79,8 @@ def _executor_pool(executor: Executor, workers: int | None) -> Pool:
 
 def _dask_pool(address: str, workers: int | None) -> Pool:
     """Return a pool on the cluster at an address."""
-    try:
-        distributed: Any = importlib.import_module("distributed")
-    except ImportError as error:
-        raise ImportError(
-            "executor dask needs the extra [batch]: pip install 'dask[distributed]'"
-        ) from error
+    distributed = package("distributed", "executor dask needs the extra [batch]: pip "
+                          "install 'dask[distributed]'")
     client = distributed.Client(address)
     # With pure=True, Dask would return cached rows instead of repeating a job.
     executor = client.get_executor(pure=False)

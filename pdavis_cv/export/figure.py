@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pdavis_cv._beside import write_beside
 from pdavis_cv._checks import MOST_SIDE, positive, some, whole_number
+from pdavis_cv._packages import package
 from pdavis_cv._types import Facts
 from pdavis_cv.export.embedded import embed_png, to_json
 from pdavis_cv.render import (
@@ -72,10 +73,8 @@ def write_figure(
     suffix = Path(path).suffix.lower()
     if suffix not in FIGURES:
         raise ValueError(f"figure must end in {', '.join(FIGURES)}, got {suffix!r}")
-    try:
-        from matplotlib import rc_context
-    except ModuleNotFoundError:
-        raise ImportError("a figure needs matplotlib: pip install matplotlib") from None
+    matplotlib = package(
+        "matplotlib", "a figure needs matplotlib: pip install matplotlib")
     if len(panels) != len(some("pictures", pictures)):
         raise ValueError(f"panels must be as many as pictures, {len(pictures)}, got "
                          f"{len(panels)}")
@@ -90,7 +89,7 @@ def write_figure(
                          f"all, got {dpi!r} for {page.size[0]:g} x {page.size[1]:g} mm")
     for i, (picture, panel) in enumerate(zip(pictures, panels, strict=True)):
         page.panel(i, picture, panel)
-    with write_beside(path) as part, rc_context({
+    with write_beside(path) as part, matplotlib.rc_context({
             "pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "pdavis_cv"}):
         text = "" if facts is None else to_json(facts)
         page.figure.savefig(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pdavis_cv._checks import typed
+from pdavis_cv._packages import package
 from pdavis_cv.export.embedded import to_json
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import chosen
@@ -56,10 +57,7 @@ def to_xarray(
     >>> dict(data["aop"].sizes)
     {'t_us': 9, 'y': 260, 'x': 346}
     """
-    try:
-        import xarray
-    except ImportError:
-        raise ImportError("to_xarray needs xarray: pip install xarray") from None
+    labelled = package("xarray", "to_xarray needs xarray: pip install xarray")
     wanted = chosen(quantities)
     given = [images] if isinstance(images, PolarFrame) else images
     kept = list(given) if isinstance(given, Iterable) else [given]
@@ -83,5 +81,6 @@ def to_xarray(
         "time": ("t_us", times.view("timedelta64[us]")),
         "y": ("y", np.arange(height), {"units": "pixel"}),
         "x": ("x", np.arange(width), {"units": "pixel"})}
-    return xarray.Dataset(
+    made: xarray.Dataset = labelled.Dataset(
         variables, coordinates, {"provenance": to_json(dict(kept[0].provenance))})
+    return made

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import write_beside
+from pdavis_cv._packages import package
 from pdavis_cv._types import Facts, Image
 from pdavis_cv.export.embedded import to_json
 from pdavis_cv.export.stacks import StackFile
@@ -70,11 +71,7 @@ class OmeTiffFile(StackFile):
 
 def tifffile() -> Any:
     """Return the package, or raise an error that says how to install it."""
-    try:
-        import tifffile as package
-    except ImportError:
-        raise ImportError("OME-TIFF needs tifffile: pip install tifffile") from None
-    return package
+    return package("tifffile", "OME-TIFF needs tifffile: pip install tifffile")
 
 
 def _resolution(pixel_um: float | None) -> dict[str, Any]:

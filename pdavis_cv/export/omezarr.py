@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._packages import package
 from pdavis_cv.export.embedded import to_json
 from pdavis_cv.export.stacks import StackFile
 
@@ -34,12 +35,8 @@ class OmeZarrFile(StackFile):
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
-        try:
-            import zarr
-        except ImportError:
-            raise ImportError(
-                "OME-Zarr needs zarr: pip install zarr (extra [zarr])") from None
-        self._zarr = zarr
+        self._zarr = package(
+            "zarr", "OME-Zarr needs zarr: pip install zarr (extra [zarr])")
         super().__init__(*arguments, **options)
 
     def _finish(self, part: Path, stack: NDArray[np.float32]) -> None:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
+from pdavis_cv._packages import package
 from pdavis_cv.errors import DeviceError
 from pdavis_cv.live.base import HEARTBEAT_S
 from pdavis_cv.recording.base import RecordingInfo
@@ -32,12 +33,8 @@ _NAME = "INIVATION_DAVIS346"
 
 
 def _driver() -> Any:
-    try:
-        import neuromorphic_drivers
-    except ImportError:
-        raise ImportError("a camera needs a package: pip install "
-                          "neuromorphic-drivers") from None
-    return neuromorphic_drivers
+    return package("neuromorphic_drivers", "a camera needs a package: pip install "
+                   "neuromorphic-drivers")
 
 
 def listed() -> list[dict[str, str | None]]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._packages import package
 from pdavis_cv.recording.event_lists import NumpyRecording
 
 _MOST_ROWS = 1 << 22
@@ -19,13 +20,10 @@ METADATA = "pdavis_cv"
 
 def pyarrow() -> tuple[Any, Any]:
     """Return the packages pyarrow and pyarrow.parquet."""
-    try:
-        import pyarrow as package
-        from pyarrow import parquet
-    except ImportError:
-        raise ImportError(
-            "Parquet needs a package: pip install pyarrow (extra [parquet])") from None
-    return package, parquet
+    arrow = package(
+        "pyarrow", "Parquet needs a package: pip install pyarrow (extra [parquet])")
+    from pyarrow import parquet
+    return arrow, parquet
 
 
 @dataclass

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
+from pdavis_cv._packages import package
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.aedat4.samples import EIGHT_BIT_DN, TEN_BIT_DN
@@ -80,11 +81,8 @@ _Where = tuple[NDArray[np.uint8], int, int, int, NDArray[np.int64], int]
 
 def rosbags() -> tuple[Any, Any]:
     """Return the modules rosbags.rosbag1 and rosbags.rosbag2."""
-    try:
-        from rosbags import rosbag1, rosbag2
-    except ImportError:
-        raise ImportError(
-            "ROS bags need a package: pip install rosbags (extra [ros])") from None
+    package("rosbags", "ROS bags need a package: pip install rosbags (extra [ros])")
+    from rosbags import rosbag1, rosbag2
     _bound_decompressors()
     return rosbag1, rosbag2
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from pdavis_cv import analysis, render
 from pdavis_cv._beside import write_beside
+from pdavis_cv._packages import package
 from pdavis_cv._text import drawn, for_script, page_text
 
 from .findings import Findings
@@ -36,11 +37,8 @@ pre{background:#f6f6f6;padding:1em;overflow:auto;font-size:12px}
 
 def matplotlib() -> Any:
     """Return matplotlib's Figure, or raise an error that says how to install it."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise ImportError(
-            "the report needs matplotlib: pip install matplotlib") from None
+    package("matplotlib", "the report needs matplotlib: pip install matplotlib")
+    from matplotlib.figure import Figure
     return Figure
 
 

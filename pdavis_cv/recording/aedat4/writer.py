@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import clear
+from pdavis_cv._packages import package
 from pdavis_cv.recording.aedat4.container import COMPRESSIONS, MAGIC
 from pdavis_cv.recording.aedat4.samples import EIGHT_BIT_DN, TEN_BIT_DN
 from pdavis_cv.recording.base import ApsFrame, Packet, RecordingInfo, Source
@@ -215,10 +216,7 @@ def _compressor(name: str) -> Callable[[Any], bytes]:
         return lambda data: bytes(memoryview(data))
     if name == "lz4":
         return lambda data: bytes(lz4.frame.compress(data, store_size=False))
-    try:
-        import zstandard
-    except ImportError:
-        raise ImportError("zstd needs a package: pip install zstandard") from None
+    zstandard = package("zstandard", "zstd needs a package: pip install zstandard")
     compressor = zstandard.ZstdCompressor(level=3)
     return lambda data: bytes(compressor.compress(memoryview(data).cast("B")))
 

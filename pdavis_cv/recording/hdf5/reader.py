@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._packages import package
 from pdavis_cv.errors import DamagedFileWarning, PdavisError, RecordingError
 from pdavis_cv.events import EVENT_DTYPE, FAR
 from pdavis_cv.recording.base import (
@@ -54,11 +55,7 @@ Columns = tuple[NDArray[Any], ...]
 
 def h5py_module() -> Any:
     """Return the package h5py, or raise ImportError with the command to install it."""
-    try:
-        import h5py
-    except ImportError:
-        raise ImportError("HDF5 needs a package: pip install h5py") from None
-    return h5py
+    return package("h5py", "HDF5 needs a package: pip install h5py")
 
 
 class _LostError(Exception):

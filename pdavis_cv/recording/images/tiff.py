@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._opencv import opencv
+from pdavis_cv._packages import package
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.images.pictures import (
@@ -58,15 +59,11 @@ class TiffPictures(Pictures):
             self._describe(tiff, tiff.series[0])
 
     def _opened(self) -> Any:
-        try:
-            from tifffile import TiffFile
-        except ImportError:
-            raise ImportError(
-                f"{self._path}: TIFF needs a package: pip install tifffile (extra "
-                "[frames])") from None
+        tifffile = package("tifffile", f"{self._path}: TIFF needs a package: pip "
+                           "install tifffile (extra [frames])")
         with readable(self._path, "TIFF"):
             flags: dict[str, Any] = {"is_shaped": False} if self._alone else {}
-            return TiffFile(self._path, **flags)
+            return tifffile.TiffFile(self._path, **flags)
 
     def _describe(self, tiff: Any, series: Any) -> None:
         page = series.keyframe

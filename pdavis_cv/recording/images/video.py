@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._packages import package
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.images.pictures import Images, PictureFacts, Pictures, readable
@@ -72,12 +73,8 @@ class VideoPictures(Pictures):
     @contextmanager
     def _opened(self) -> Iterator[tuple[Any, Any]]:
         """Open the file; give its container and the first stream of video."""
-        try:
-            import av
-        except ImportError:
-            raise ImportError(
-                f"{self._path}: a video needs PyAV: pip install av (extra [frames])"
-            ) from None
+        av = package("av", f"{self._path}: a video needs PyAV: pip install av (extra "
+                     "[frames])")
         # "file:" and a known name keep FFmpeg from reading patterns or protocols.
         with (readable(self._path, "video"),
               av.open(f"file:{self._path}") as container):

@@ -1,0 +1,13 @@
+"""Packages that need not be there: imported when they are needed."""
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+
+def package(name: str, missing: str) -> Any:
+    """Return a module; where it is missing, an ImportError says how to install it."""
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise ImportError(missing) from None
