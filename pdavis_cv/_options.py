@@ -16,20 +16,12 @@ from pdavis_cv._types import Parameters
 class OptionFacts(NamedTuple):
     """Type, help text and command-line form of an option.
 
-    Parameters
-    ----------
-    type : str
-        Type and unit, as they appear in a docstring.
-    help : str
-        One or more sentences.
-    word : str or None
-        How the command line parses it, the name of a parser in ``tools/_options.py``,
-        e.g. ``"text"``, ``"seconds"`` (after the start of the recording) or
-        ``"flag"``; None = the command line does not offer it.
-    brief : str
-        Help text on the command line; default: the first sentence of `help`.
-    choices : collection of str
-        The allowed texts; empty = any.
+    `type` is type and unit, as they appear in a docstring; `help` one or more
+    sentences; `word` how the command line parses it, the name of a parser in
+    ``tools/_options.py``, e.g. ``"text"``, ``"seconds"`` (after the start of the
+    recording) or ``"flag"``; None = the command line does not offer it.  `brief` is the
+    help text on the command line, by default the first sentence of `help`; `choices`
+    are the allowed texts; empty = any.
     """
 
     type: str

@@ -49,20 +49,11 @@ _ALLOWED_STATIC = 1.2  # largest static error of a chosen method, over the least
 
 @dataclass(frozen=True)
 class Trial:
-    """A variant of a method that is scored.
+    """A variant of a method that is scored, with these options of `fuse`.
 
-    Parameters
-    ----------
-    options : mapping of str to object
-        Those of `fuse`.
-    relative : bool
-        Whether it estimates only ratios of a cell's channels, and so needs polarizers.
-    causal : bool
-        Whether it uses no later data.
-    thresholds : bool
-        Whether it takes contrast thresholds.
-    usual : bool
-        Whether it is scored unasked.
+    It is `relative` if it estimates only ratios of a cell's channels, and so needs
+    polarizers, `causal` if it uses no later data, `usual` if it is scored unasked;
+    `thresholds` tells whether it takes contrast thresholds.
     """
 
     options: Mapping[str, Any]

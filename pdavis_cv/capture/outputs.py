@@ -12,16 +12,9 @@ from pdavis_cv.quantities import GROUPS, QUANTITIES, Quantity, quantity
 class Output:
     """What `retrieve` returns.
 
-    Parameters
-    ----------
-    name : str
-        A quantity or a group of them as numbers, or with ``_bgr`` as a picture.
-    quantities : tuple of Quantity
-        Several are the channels of one array.
-    picture : bool
-        Whether it is a picture in BGR.
-    faded : bool
-        Whether the picture fades where DoLP is low.
+    The name is that of a quantity or a group of them as numbers, or with ``_bgr`` as a
+    picture in BGR, which may be faded where DoLP is low.  Several quantities are the
+    channels of one array.
     """
 
     name: str

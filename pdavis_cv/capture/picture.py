@@ -87,19 +87,10 @@ def colour(frame: PolarFrame, output: Output, curve: ToneCurve) -> NDArray[np.ui
 def event_counts(
     parts: Iterable[NDArray[Any]], roi: tuple[int, int, int, int], step: int,
 ) -> NDArray[np.float32]:
-    """Return the number of ON minus OFF events of each pixel.
+    """Return the number of ON minus OFF events of each pixel of a region, float32.
 
-    Parameters
-    ----------
-    parts : iterable of ndarray of EVENT_DTYPE
-    roi : (int, int, int, int)
-        (x, y, width, height).
-    step : int
-        Side of the squares of sensor pixels over which counts are summed.
-
-    Returns
-    -------
-    ndarray of float32, shape (height // step, width // step)
+    The region is (x, y, width, height); `step` is the side of the squares of sensor
+    pixels over which counts are summed.
     """
     x0, y0, width, height = roi
     columns = width // step

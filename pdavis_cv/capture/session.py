@@ -37,18 +37,10 @@ _FRAME_COUNT, _FORMAT, _CONVERT_RGB, _BACKEND = 7, 8, 16, 42
 class View:
     """Settings of how images are shown, which can be changed at any time.
 
-    Parameters
-    ----------
-    output : int
-        Output of ``read()``, ``CAP_PDAVIS_*``.
-    convert : bool
-        False: float planes instead of pictures (``CAP_PROP_CONVERT_RGB`` = 0).
-    gain, gamma : float
-    log : bool
-        See `picture.tone`.
-    open_timeout_ms, read_timeout_ms : float
-        Timeouts for the first sample and for an image of a live source; the defaults
-        are those of cv2.
+    `output` is that of ``read()``, ``CAP_PDAVIS_*``; without `convert` it is float
+    planes instead of pictures (``CAP_PROP_CONVERT_RGB`` = 0); for gain, gamma and log
+    see `picture.tone`.  The timeouts are those for the first sample and for an image of
+    a live source; the defaults are those of cv2.
     """
 
     output: int = c.CAP_PDAVIS_BGR
@@ -63,19 +55,9 @@ class View:
 class Session:
     """A recording, or a live source, that is being read image by image.
 
-    Parameters
-    ----------
-    source : path, address or Source
-    parameters : mapping of str to object
-        Parameters of `fuse` and of `open_recording`.
-    view : View
-
-    Raises
-    ------
-    OSError
-        If the source cannot be opened or has another format.
-    TypeError, ValueError
-        If a parameter is invalid.
+    It is opened with parameters of `fuse` and of `open_recording`.  OSError if it
+    cannot be opened or has another format, TypeError or ValueError if a parameter is
+    invalid.
     """
 
     def __init__(
@@ -126,11 +108,9 @@ class Session:
     def grab(self) -> bool:
         """Move to the next image; it is computed when it is retrieved.
 
-        Raises
-        ------
-        OSError, ValueError, ImportError
-            If the recording cannot be read, or a package for it is missing.  The error
-            is raised again by each call until the position is changed.
+        If the recording cannot be read, or a package for it is missing, the OSError,
+        ValueError or ImportError is raised again by each call until the position is
+        changed.
         """
         self._frame = None
         self.grabbed = False
@@ -151,12 +131,8 @@ class Session:
     def retrieve(self, output: int) -> Image:
         """Return an output of the image that was grabbed last.
 
-        Raises
-        ------
-        LookupError
-            If nothing was grabbed or there is no such output.
-        ValueError
-            If the method does not provide it.
+        LookupError if nothing was grabbed or there is no such output, ValueError if the
+        method does not provide it.
         """
         if not self.grabbed:
             raise LookupError("no image was grabbed")
@@ -222,10 +198,7 @@ class Session:
     def set(self, prop: int, value: float) -> bool:
         """Change a property; return False if it does not exist or cannot be changed.
 
-        Raises
-        ------
-        TypeError, ValueError
-            If the value is invalid.
+        TypeError or ValueError if the value is invalid.
         """
         if prop in (_POS_FRAMES, _POS_MSEC, _POS_AVI_RATIO):
             self.seek(self._wanted(prop, value))

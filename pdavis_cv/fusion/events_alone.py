@@ -97,18 +97,10 @@ class RatioSpread(NamedTuple):
 class EventScale(NamedTuple):
     """Factor on the nominal thresholds of all pixels, ON and OFF.
 
-    Parameters
-    ----------
-    ln : float
-        Its ln.
-    sigma : float
-        Standard error of the ln.
-    fall : float
-        Fall of the mean ln of the misfit against the nominal thresholds.
-    gain : float
-        `fall` relative to the squared ln of the scale with the least misfit.
-    significant : bool
-        Whether they suffice to reject the nominal thresholds.
+    `ln` is its ln, `sigma` the standard error of that; `fall` is the fall of the mean
+    ln of the misfit against the nominal thresholds, `gain` that relative to the squared
+    ln of the scale with the least misfit; `significant` tells whether they suffice to
+    reject the nominal thresholds.
     """
 
     ln: float

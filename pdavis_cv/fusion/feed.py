@@ -35,29 +35,16 @@ class Feed:
 
     The time of a frame is its mid-exposure, which lies before its arrival: events are
     held back until the next frame is known, or can no longer act on them.  With
-    `by_arrival` the time of a frame is the end of its readout; it follows the events of
-    that microsecond, and nothing is held back.
+    `by_arrival` the time of a frame is the end of its readout, ``available_us``; it
+    follows the events of that microsecond, and nothing is held back.
 
-    Parameters
-    ----------
-    packets : iterator of Packet
-    after_us : int, optional
-        Leave out events up to this time, inclusive.
-    frames_after_us : int, optional
-        Leave out frames whose mid-exposure is not after this time.
-    by_arrival : bool
-        Order frames by ``available_us`` instead of ``mid_us``.
-    has_frames : bool
-        False if the stream is known to have no frames.
-    stop_us : int, optional
-        One past the last sample, if known.
-    reached_us : int, optional
-        `reached_us` of another Feed of the stream, which shows that it has a sample at
-        or after this time.
-    clock_us : int
-        Added to the frames' exposure times.  With `by_arrival` it only decides when a
-        frame is yielded; the frame itself is unchanged, and the attribute may be set
-        during the iteration.
+    Events up to `after_us`, inclusive, are left out, and frames whose mid-exposure is
+    not after `frames_after_us`.  `has_frames` is False if the stream is known to have
+    none, `stop_us` one past its last sample, if known; `reached_us` is that of another
+    Feed of the stream, which shows that it has a sample at or after this time.
+    `clock_us` is added to the frames' exposure times: with `by_arrival` it only decides
+    when a frame is yielded; the frame itself is unchanged, and the attribute may be set
+    during the iteration.
     """
 
     def __init__(

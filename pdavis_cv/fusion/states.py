@@ -109,15 +109,10 @@ class ArrivalState(_MethodState):
     Only the sample to learn from is fed in time order: the events since the last
     frame's mid-exposure are kept, and passed to it when the next frame has arrived.
 
-    Attributes
-    ----------
-    clock_us : int
-        Added to the exposure times of frames that arrive.
-    fed_us : int or None
-        Time up to which, inclusive, the method has been fed.
-    committed_us : int or None
-        Time up to which, inclusive, no later frame can act: the next frame's
-        mid-exposure lies after it.  At most `LONGEST_DELAY_US` before the last arrival.
+    `clock_us` is added to the exposure times of frames that arrive.  The method has
+    been fed up to `fed_us`, inclusive; up to `committed_us` no later frame can act: the
+    next frame's mid-exposure lies after it, at most `LONGEST_DELAY_US` before the last
+    arrival.
     """
 
     def __init__(

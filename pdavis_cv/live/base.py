@@ -45,11 +45,6 @@ def endless(info: RecordingInfo) -> RecordingInfo:
     """Return the information on a stream that sends a recording's kinds of data.
 
     It states whether there will be frames or events, but not how many.
-
-    Parameters
-    ----------
-    info : RecordingInfo
-        Information on the recording.
     """
     counts: dict[str, Any] = {
         f"{kind}_count": 0 if getattr(info, f"{kind}_count") == 0 else None

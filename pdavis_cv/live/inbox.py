@@ -21,16 +21,10 @@ class Waiting(Exception):
 class Inbox:
     """A queue of packets of bounded age and size.
 
-    Parameters
-    ----------
-    lossy : bool
-        True: `put` never waits; if the queue would hold more than 0.5 s of stream
-        time, all waiting packets are dropped except the last frame, and counted.
-        False: `put` waits for room, and nothing is dropped.
-    log : ProblemLog
-        Receives the jumps.
-    waits : bool
-        False: iterating over an empty queue raises `Waiting` instead of waiting.
+    If it is `lossy`, `put` never waits; if the queue would hold more than 0.5 s of
+    stream time, all waiting packets are dropped except the last frame, and counted in
+    the log. Else `put` waits for room, and nothing is dropped.  Unless it `waits`,
+    iterating over an empty queue raises `Waiting`.
     """
 
     def __init__(self, lossy: bool, log: ProblemLog, *, waits: bool = True) -> None:

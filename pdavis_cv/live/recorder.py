@@ -26,23 +26,9 @@ class Recorder:
 
     Data are flushed to the system every 10 ms of stream time.  If the process is
     killed, ``.NAME.part<pid>.aedat4`` beside the file can be read up to there.  A full
-    or slow disk is a problem that is counted, not an error.
-
-    Parameters
-    ----------
-    path : path
-        Name of the file, which appears when the recorder is closed.
-    info : RecordingInfo
-        Information on the stream.
-    lossy : bool
-        True: `add` never waits; packets that the disk cannot take are counted.
-    log : ProblemLog
-        Receives problems.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be made.
+    or slow disk is a problem that is counted in the log, not an error.  If the recorder
+    is `lossy`, `add` never waits; packets that the disk cannot take are counted.  The
+    file appears when the recorder is closed; that it cannot be made is an OSError.
     """
 
     def __init__(

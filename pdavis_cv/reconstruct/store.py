@@ -26,25 +26,12 @@ _LEAST = 1 << 14
 class EventStore:
     """Events that are pushed, and committed once they precede every later read.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        (height, width).
-
-    Attributes
-    ----------
-    pixels : ndarray of PIXEL_DTYPE, shape (H, W)
-        Each pixel's last committed event, with its sums, and links to the next ones.
-    events : ndarray of EVENT_DTYPE, shape (capacity,)
-        Those that are not committed, after some that are.
-    committed, stop : int
-        Index of the first event that is not committed, and number of all.
-    first_us : int or None
-        Time of the first event ever.
-    due : ndarray of int64, shape (H, W)
-        As in `increments_move`.
-    awake, woken : ndarray of int32, int
-        Pixels that are not quiet, and how many: see `increments_rest`.
+    For a sensor (height, width) there are `pixels`, PIXEL_DTYPE (H, W): each one's last
+    committed event, with its sums, and links to the next ones; `due`, int64 (H, W), as
+    in `increments_move`; and `awake`, int32, of which `woken` are pixels that are not
+    quiet: see `increments_rest`.  `events`, EVENT_DTYPE, are those that are not
+    committed, from the index `committed` to `stop`, after some that are; `first_us` is
+    the time of the first event ever.
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:

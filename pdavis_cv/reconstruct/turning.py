@@ -50,13 +50,9 @@ _LEAST_DET = 1e-20
 class Polarization(NamedTuple):
     """What a `TurningRegression` knows at one time.
 
-    Parameters
-    ----------
-    quad : ndarray of float32, shape (4, H, W)
-        I0, I45, I90, I135, relative unless frames tell S0.
-    sigmas : ndarray of float32, shape (3, H, W)
-        Errors of AoP (radians), DoLP, and of (S1, S2)/S0 across its direction.
-    valid : ndarray of bool, shape (H, W)
+    `quad` is I0, I45, I90, I135, float32 (4, H, W), relative unless frames tell S0;
+    `sigmas`, (3, H, W), are the errors of AoP (radians), of DoLP, and of (S1, S2)/S0
+    across its direction; `valid` is bool, (H, W).
     """
 
     quad: Plane

@@ -56,17 +56,10 @@ _TEMPERATURES = {
 class Orientation:
     """The orientation of a camera's chips, as reported by its logic.
 
-    Parameters
-    ----------
-    events_turned : bool
-        Whether rows of events are columns of the image.
-    frames_flipped_x, frames_flipped_y, frames_turned : bool
-        Whether the readout of frames begins at the right, begins at the bottom, and
-        proceeds along rows.
-    imu_flipped : (bool, bool, bool)
-        Whether the axes x, y, z are inverted.
-    imu_type : str, optional
-        Type of the IMU, which determines the scale of its temperature.
+    It tells whether rows of events are columns of the image; whether the readout of
+    frames begins at the right, begins at the bottom, and proceeds along rows; whether
+    the axes x, y, z of the IMU are inverted, and its type, which determines the scale
+    of its temperature.
     """
 
     events_turned: bool = False

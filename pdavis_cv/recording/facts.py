@@ -102,19 +102,12 @@ def stated(options: SourceOptions, copied: str | None = None, **found: Any
            ) -> dict[str, Any]:
     """Return the facts of a recording, with origins, as arguments of `RecordingInfo`.
 
-    What the caller states replaces what the file says, what was measured or assumed;
-    layouts that differ, and sizes of which both are stated, are refused.
-
-    Parameters
-    ----------
-    options : SourceOptions
-        What the caller states.
-    copied : str, optional
-        What a file of this library says of its source; see `text_of`.
-    **found
-        Facts by their name in `RecordingInfo`: a value that the file gives, or a
-        `Fact` with another origin; None = not known.  ``frame_times`` is the frames'
-        rate in Hz if they have no times of their own, else their kind.
+    What the caller states in options replaces what the file says, what was measured or
+    assumed; layouts that differ, and sizes of which both are stated, are refused.
+    `copied` is what a file of this library says of its source; see `text_of`.  Those
+    found are named as in `RecordingInfo`: a value that the file gives, or a `Fact` with
+    another origin; None = not known.  ``frame_times`` is the frames' rate in Hz if they
+    have no times of their own, else their kind.
     """
     known = {name: value if isinstance(value, Fact) else Fact(value, FILE)
              for name, value in found.items() if value is not None}

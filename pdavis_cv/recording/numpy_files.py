@@ -28,20 +28,10 @@ name and of the extra field."""
 
 @dataclass(frozen=True)
 class StoredArray:
-    """An array in a file.
+    """An array in a file, of which one column or field, or all, is read.
 
-    Parameters
-    ----------
-    dtype : dtype
-    shape : tuple of int
-    fortran : bool
-        Whether the array is stored column by column.
-    offset : int
-        Byte offset of the data.
-    opened : callable
-        Returns the `FileReader` of the bytes; the first call may unpack them.
-    column : int or str, optional
-        Column or field to read; default: all.
+    It is `fortran` if it is stored column by column; its data begin at the byte
+    `offset` of what `opened` returns the `FileReader` of; the first call may unpack it.
     """
 
     dtype: np.dtype[Any]

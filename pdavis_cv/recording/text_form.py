@@ -51,23 +51,11 @@ _SIZE_IN_NAME = re.compile(r"@(\d{1,4})$")
 class TextForm:
     """The form of a text of events.
 
-    Parameters
-    ----------
-    begin : int
-        Byte of the first event's line.
-    columns : int
-        Number of columns in it.
-    order : str
-        Which of t, x, y, p each column is, ``_`` for none of them; "" if the text does
-        not say.
-    names : tuple of str
-        Names of the columns, if there are any.
-    unit : str
-        Unit of times that the text states, "" if none.
-    size : (int, int), optional
-        Sensor (height, width) that the text states.
-    bottom : bool
-        Whether rows are counted from the bottom, as jAER does.
+    The first event's line begins at the byte `begin` and has so many `columns`; `order`
+    tells which of t, x, y, p each is, ``_`` for none of them, "" if the text does not
+    say; `names` are theirs, if there are any.  `unit` is that of times that the text
+    states, "" if none, `size` the sensor's (height, width); at the `bottom` begin rows
+    that are counted as jAER does.
     """
 
     begin: int = 0

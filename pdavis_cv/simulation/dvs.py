@@ -211,28 +211,15 @@ class PixelArray:
         analyser: FloatArray | None = None, *, rows: slice = slice(None),
         edges: FloatArray | None = None, first_edge: int = 0,
     ) -> list[Events]:
-        """Return the events of K intervals, pixel by pixel.
+        """Return the events of K intervals, pixel by pixel, time-ordered within each.
 
-        Parameters
-        ----------
-        start_us, step_us : float
-            Time of the first node, and the interval.
-        light, slope : ndarray of float64, shape (K + 1, rows * W) or (K + 1, 3)
-            Light on each pixel at the nodes in DN per ms, and its change per
-            interval; or with ``analyser`` the same of S0, S1, S2, for all pixels.
-        analyser : ndarray of float64, shape (rows * W, 3), optional
-            Response of each pixel to S0, S1, S2.
-        rows : slice
-            Rows of the sensor that ``light`` covers.
-        edges : ndarray of float64, optional
-            Times in us of frame edges whose bursts reach into these intervals.
-        first_edge : int
-            Index of the first of them since the recording's start.
-
-        Returns
-        -------
-        list of ndarray of EVENT_DTYPE
-            In pixel order; time-ordered within each pixel.
+        The first node is at `start_us`, an interval takes `step_us`.  `light` is that
+        on each pixel of these rows at the nodes in DN per ms, float64 (K + 1, rows *
+        W), and `slope` its change per interval; or with the pixels' responses to S0,
+        S1, S2, `analyser`, (rows * W, 3), the same of S0, S1, S2 for all pixels, (K +
+        1, 3).  `edges` are times in us of frame edges whose bursts reach into these
+        intervals, the first of which has the index `first_edge` since the recording's
+        start.
         """
         part = self._part(rows)
         if self.pixel.second_pole_hz is not None:

@@ -18,14 +18,8 @@ from pdavis_cv.simulation import noise
 class Range(NamedTuple):
     """A parameter's values over specimens: uniform in its log, or in itself.
 
-    Parameters
-    ----------
-    low, high : float
-        Ends of the range.
-    log : bool
-        Uniform in the log: the median is the geometric mean of the ends.
-    times : str
-        Name of a parameter of the same part that the drawn value multiplies.
+    Uniform in the log, the median is the geometric mean of the ends.  `times` is the
+    name of a parameter of the same part that the drawn value multiplies.
     """
 
     low: float

@@ -16,14 +16,8 @@ from .periodic import PeriodicLight
 class Loop:
     """The loop of a region's DoLP over the load, and what it encloses.
 
-    Parameters
-    ----------
-    x, y : ndarray of float64, shape (M,)
-        Load and DoLP over a cycle.
-    lag_deg, lag_se_deg : float
-        By how much DoLP is behind the load.
-    area, area_se : float
-        Area per cycle, positive for a clockwise loop.
+    `x` and `y` are load and DoLP over a cycle, float64 (M,), `lag_deg` is by how much
+    DoLP is behind the load, `area` that per cycle, positive for a clockwise loop.
     """
 
     x: NDArray[np.float64]
@@ -38,19 +32,11 @@ class Loop:
 class Findings:
     """All measurements, which the report shows.
 
-    Parameters
-    ----------
-    origin_us : int
-        Time of 0 s, and of phase 0.
-    fused, frames : Traces
-        Traces of the fused images, and of the frames alone (None without frames).
-    light : PeriodicLight
-        Amplitude and phase by the frames.
-    waves : list of dict of str to Wave
-        Of each region with an amplitude: ``dolp``, ``aop``, ``s0``, and with optics
-        ``retardance``, ``birefringence``; None for others.
-    loops : list of Loop or None
-        One per region; empty if there is none.
+    `origin_us` is the time of 0 s, and of phase 0; `fused` and `frames` are traces of
+    the fused images, and of the frames alone (None without frames), `light` is
+    amplitude and phase by the frames.  `waves` are those of each region with an
+    amplitude: ``dolp``, ``aop``, ``s0``, and with optics ``retardance``,
+    ``birefringence``; None for others. `loops` has one per region, or none at all.
     """
 
     origin_us: int

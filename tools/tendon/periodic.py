@@ -81,22 +81,11 @@ class Frames:
 class PeriodicLight:
     """What frames say of the regions, and of each pixel.
 
-    Parameters
-    ----------
-    fit : Periodic
-        That of the regions.
-    t_us : ndarray of int64, shape (T,)
-        Times of the frames.
-    stokes : ndarray of float64, shape (R, T, 3)
-        Mean S0, S1, S2 of the regions.
-    pixels : ndarray of int64, shape (R,)
-        Pixels of the regions that are valid in all frames.
-    errors : list of ndarray
-        Errors of camera, polarizers and demosaicing, of each region in ``fit``.
-    maps : Harmonics or None
-        Of each pixel, smoothed; None if no harmonic is resolved.
-    raw_mean : ndarray of float64, shape (3, H, W)
-        Mean S0, S1, S2, not smoothed.
+    `fit` is that of the R regions, `t_us` the times of the T frames, `stokes` the mean
+    S0, S1, S2 of the regions, float64 (R, T, 3), `pixels` the number that is valid in
+    all frames, int64 (R,).  `errors` are those of camera, polarizers and demosaicing,
+    of each region in `fit`.  `maps` are of each pixel, smoothed; None if no harmonic is
+    resolved; `raw_mean` is the mean S0, S1, S2, not smoothed, float64 (3, H, W).
     """
 
     fit: analysis.Periodic

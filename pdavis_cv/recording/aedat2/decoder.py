@@ -68,26 +68,11 @@ class ImuScale(NamedTuple):
 class Decoder:
     """Decode one file from a mark on.
 
-    Parameters
-    ----------
-    reader : FileReader
-    log : ProblemLog
-    count : callable
-        ``FileRecording._count``.
-    data_start : int
-        Byte where the words begin.
-    origin_us : int
-        Added to times.
-    size : (int, int)
-        Sensor (height, width).
-    global_shutter : bool, optional
-        Shutter mode in the header.
-    scale : ImuScale
-    mark : Mark
-    quiet_us : int
-        Findings before this time are not logged, as they depend on earlier data.
-    dvs128 : bool
-        Whether addresses are those of a DVS128.
+    `count` is ``FileRecording._count``, `data_start` the byte where the words begin;
+    `origin_us` is added to times.  The size is that of the sensor, (height, width);
+    `global_shutter` what the header says of it; `dvs128` tells whether addresses are
+    those of a DVS128.  Findings before `quiet_us` are not logged, as they depend on
+    earlier data.
     """
 
     def __init__(

@@ -36,21 +36,11 @@ _ALIASES = {"davis346mini": "davis346blue"}
 class Header:
     """The content of a header.
 
-    Parameters
-    ----------
-    data_start : int
-        Byte where the words begin.
-    lines : int
-    chip : str, optional
-        Simple name of the chip class.
-    preferences : dict of str to str
-        Preferences of this chip, without its name.
-    facts : dict of str to str
-        Lines of the form ``name: value``.
-    start_ms, creation_ms : int, optional
-        Unix time in milliseconds of the first event and of the file.
-    origin_us : int
-        Time that this library's writer subtracted from all times.
+    The words begin at the byte `data_start`.  `chip` is the simple name of the chip
+    class, `preferences` are those of this chip, without its name, `facts` lines of the
+    form ``name: value``.  `start_ms` and `creation_ms` are the Unix times in
+    milliseconds of the first event and of the file, `origin_us` what this library's
+    writer subtracted from all times.
     """
 
     data_start: int

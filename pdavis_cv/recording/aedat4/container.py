@@ -69,31 +69,12 @@ class Stream(NamedTuple):
 
 
 class Aedat4File:
-    """Header, streams and packets of one file.
+    """Header, streams and packets of one file, whose reader the caller closes.
 
-    Parameters
-    ----------
-    reader : FileReader
-        The file; the caller closes it.
-    log : ProblemLog
-        Receives findings of damage.
-    budget : Budget, optional
-        Default: one of the file's own.
-
-    Attributes
-    ----------
-    compression : str
-        One of ``COMPRESSIONS``.
-    streams : dict of int to Stream
-    indexed : bool
-        True if the file has a usable index.
-    index : dict of int to ndarray of int64, shape (N, 5)
-        The entries of a stream, if it has the times of all packets, in order.
-
-    Raises
-    ------
-    RecordingError
-        If the header cannot be read.
+    Findings of damage go to the log; the budget is by default one of the file's own.
+    `compression` is one of ``COMPRESSIONS``; `indexed` tells whether the file has a
+    usable index; `index` has the entries of a stream, int64 (N, 5), if it has the times
+    of all packets, in order.  A header that cannot be read is a RecordingError.
     """
 
     def __init__(self, reader: FileReader, log: ProblemLog,
@@ -266,10 +247,7 @@ class Aedat4File:
     def table(self, entry: Entry) -> Table:
         """Return the FlatBuffer of a packet.
 
-        Raises
-        ------
-        PayloadError
-            If it cannot be decompressed, or has another type than its stream.
+        PayloadError if it cannot be decompressed, or has another type than its stream.
         """
         raw = self.reader.read(entry.offset - 8, entry.size + 8)
         if len(raw) < entry.size + 8:
@@ -333,15 +311,8 @@ class Aedat4File:
 def parsed_header(data: bytes) -> tuple[str, int, dict[int, Stream]]:
     """Return compression, position of the index (-1 = none) and streams of a header.
 
-    Parameters
-    ----------
-    data : bytes
-        The size-prefixed FlatBuffer IOHE.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged; the message describes the damage.
+    The header is a size-prefixed FlatBuffer IOHE; ValueError if it is damaged, whose
+    message describes the damage.
     """
     try:
         table = Table(data, b"IOHE")
@@ -360,21 +331,10 @@ def parsed_header(data: bytes) -> tuple[str, int, dict[int, Stream]]:
 
 def decompressed(payload: bytes | memoryview, compression: str, budget: Budget
                  ) -> bytes:
-    """Return the FlatBuffer of a packet.
+    """Return the FlatBuffer of a packet in one of ``COMPRESSIONS``.
 
-    Parameters
-    ----------
-    payload : bytes or memoryview
-    compression : str
-        One of ``COMPRESSIONS``.
-    budget : Budget
-
-    Raises
-    ------
-    PayloadError
-        If it cannot be decompressed.
-    RecordingError
-        If it becomes larger than the budget allows.
+    PayloadError if it cannot be decompressed, RecordingError if it becomes larger than
+    the budget allows.
     """
     if compression == "none":
         return bytes(payload)

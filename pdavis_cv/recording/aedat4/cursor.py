@@ -55,35 +55,14 @@ _NAMES = {"EVTS": "events", "FRME": "frames", "IMUS": "IMU samples", "TRIG": "tr
 
 
 class Cursor:
-    """Read the packets of one stream.
+    """Read the packets of one stream, ``"EVTS"``, ``"FRME"``, ``"IMUS"`` or ``"TRIG"``.
 
-    Where the index is trusted, no packet holds times beyond its neighbours', so that
-    reading may begin at any packet; see `clean`.
-
-    Parameters
-    ----------
-    file : Aedat4File
-    kind : str
-        ``"EVTS"``, ``"FRME"``, ``"IMUS"`` or ``"TRIG"``.
-    entries : list of Entry
-    timeline : Timeline, optional
-        Segments of the recording; None if the index is trusted.
-    size : (int, int)
-        Sensor (height, width).
-    scale : FrameScale, optional
-    jaer : bool
-        True if jAER wrote the file: rows are from the bottom, frame times differ.
-    strict : bool
-        True to raise at the first bad sample.
-    memory : Scratch
-        Provides memory for the events.
-    known : dict
-        Times of the frames that have been read, by packet; frames are added.
-
-    Attributes
-    ----------
-    begins : int
-        Of frames before this packet only the times are needed.
+    Where the index is trusted, there is no timeline, and no packet holds times beyond
+    its neighbours', so that reading may begin at any packet; see `clean`.  The size is
+    that of the sensor, (height, width); `jaer` tells that jAER wrote the file: rows are
+    from the bottom, frame times differ.  With `strict` the first bad sample raises.
+    `known` has the times of the frames that have been read, by packet; frames are
+    added.  Of frames before the packet `begins` only the times are needed.
     """
 
     def __init__(

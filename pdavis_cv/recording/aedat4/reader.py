@@ -33,11 +33,7 @@ EPOCH_US = 10**15
 class Aedat4Recording(PiecewiseRecording):
     """A recording in AEDAT-4; see `open_recording`.
 
-    Parameters
-    ----------
-    path : path
-    options : SourceOptions
-        Its ``camera`` is the name of the source, or a part of it.
+    A stated ``camera`` is the name of the source, or a part of it.
     """
 
     def _open(self, options: SourceOptions) -> RecordingInfo:
@@ -201,11 +197,8 @@ class Aedat4Recording(PiecewiseRecording):
                 ) -> Iterator[tuple[Batch, float]]:
         """Read from the stream with the earliest position, until all have ended.
 
-        Raises
-        ------
-        SegmentError
-            If only events are needed, and the shift of a segment depends on all
-            streams.
+        SegmentError if only events are needed, and the shift of a segment depends on
+        all streams.
         """
         cursors, pulls, newest = self._begin(start_us, memory, frames)
         if not frames:

@@ -26,15 +26,8 @@ class UnknownFrameError(PayloadError):
 class FrameScale(NamedTuple):
     """Conversion of pixel values to 10-bit DN.
 
-    Parameters
-    ----------
-    factor : float
-        DN per unit of the file.
-    full_scale_dn : int
-    clipped : int
-        Smallest saturated value.
-    itemsize : int
-        Bytes per pixel in the file.
+    `factor` is DN per unit of the file, `clipped` the smallest saturated value,
+    `itemsize` the bytes per pixel in the file.
     """
 
     factor: float
@@ -50,17 +43,11 @@ LEFT_JUSTIFIED = FrameScale(1 / 64, TEN_BIT_DN, TEN_BIT_DN << 6)
 
 
 class RawFrame(NamedTuple):
-    """A frame as stored in the file.
+    """A frame as stored in the file: pixels of uint8 or uint16, (h, w).
 
-    Parameters
-    ----------
-    pixels : ndarray of uint8 or uint16, shape (h, w)
-    x, y : int
-        Position of its first pixel on the sensor.
-    times : tuple of int
-        timestamp, start and end of frame, start and end of exposure, exposure.
-    colour : bool
-        True if channels that differed were averaged.
+    Its first pixel is at (x, y) on the sensor; the times are timestamp, start and end
+    of frame, start and end of exposure, exposure; `colour` tells that channels that
+    differed were averaged.
     """
 
     pixels: NDArray[Any]
@@ -73,12 +60,8 @@ class RawFrame(NamedTuple):
 def raw_frame(table: Table) -> RawFrame:
     """Return the frame of a FRME table.
 
-    Raises
-    ------
-    PayloadError
-        If sizes contradict each other.
-    UnknownFrameError
-        If the pixel type is not 8 or 16 bit unsigned with 1, 3 or 4 channels.
+    PayloadError if sizes contradict each other, UnknownFrameError if the pixel type is
+    not 8 or 16 bit unsigned with 1, 3 or 4 channels.
     """
     t, sof, eof, soe, eoe = table.fields(0, np.int64, 5)
     [exposure], [code] = table.fields(11, np.int64), table.fields(5, np.int8)
@@ -141,23 +124,11 @@ def aps_frame(
     raw: RawFrame, scale: FrameScale, times: tuple[int, int, int],
     size: tuple[int, int], *, flip: bool = False,
 ) -> ApsFrame:
-    """Return a raw frame in 10-bit DN on the whole sensor, upright.
+    """Return a raw frame in 10-bit DN on the whole sensor (height, width), upright.
 
-    Parameters
-    ----------
-    raw : RawFrame
-    scale : FrameScale
-    times : (int, int, int)
-        Start and end of exposure, end of readout.
-    size : (int, int)
-        Sensor (height, width).
-    flip : bool
-        True if the file's first row is the lowest.
-
-    Raises
-    ------
-    PayloadError
-        If the frame does not fit on the sensor.
+    The times are start and end of exposure, end of readout; `flip` tells that the
+    file's first row is the lowest.  PayloadError if the frame does not fit on the
+    sensor.
     """
     height, width = raw.pixels.shape
     if raw.y + height > size[0] or raw.x + width > size[1]:
@@ -204,14 +175,8 @@ def triggers(table: Table) -> NDArray[Any]:
 def span(kind: str, table: Table) -> tuple[int, int] | None:
     """Return the times of the first and last sample of a packet, as in an index.
 
-    None for a packet without samples; for a frame, its timestamp.
-
-    Raises
-    ------
-    PayloadError
-        If it cannot be decoded.
-    UnknownFrameError
-        For a frame whose pixels have an unknown type.
+    None for a packet without samples; for a frame, its timestamp.  PayloadError if it
+    cannot be decoded, UnknownFrameError for a frame whose pixels have an unknown type.
     """
     if kind == "FRME":
         time = raw_frame(table).times[0]

@@ -139,17 +139,8 @@ class Aedat4Writer(RecordingWriter):
 class StreamEncoder:
     """One stream of packets as dv's network protocol has it: a header, then packets.
 
-    Parameters
-    ----------
-    stream : int
-        `EVENTS`, `FRAMES`, ...
-    info : RecordingInfo
-    compression : {"none", "lz4", "zstd"}
-
-    Attributes
-    ----------
-    head : bytes
-        What a connection begins with.
+    The stream is `EVENTS`, `FRAMES`, ...; compression ``"none"``, ``"lz4"`` or
+    ``"zstd"``. A connection begins with `head`.
     """
 
     def __init__(self, stream: int, info: RecordingInfo, compression: str) -> None:
@@ -234,19 +225,8 @@ def stored_pixels(frame: ApsFrame, bits: int, lost: Counter[str]
                   ) -> tuple[NDArray[Any], int, int]:
     """Return a frame's image as it is stored, and one time of its exposure for all.
 
-    Parameters
-    ----------
-    frame : ApsFrame
-    bits : {8, 16}
-        Of 8, a step is 4 DN.
-    lost : Counter of str
-        What cannot be held is added to it; a number may be 0.
-
-    Returns
-    -------
-    image : ndarray of uint8 or uint16, shape (H, W)
-    start_us, end_us : int
-        Exposure.
+    The image has 8 or 16 bits, (H, W); of 8, a step is 4 DN.  What cannot be held is
+    added to `lost`, where a number may be 0.  The times are start and end, us.
     """
     step, most = (4, 255) if bits == 8 else (1, 65_535)
     values = np.rint(frame.dn / np.float32(step))

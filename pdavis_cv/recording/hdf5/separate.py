@@ -11,14 +11,9 @@ from numpy.typing import NDArray
 class SeparateImages:
     """The images of rpg's layout, which are separate datasets, as one stack.
 
-    Parameters
-    ----------
-    group : h5py.Group
-        ``/images``; those without a numeric ``timestamp`` are left out.
-    dataset : callable
-        From (group, name, dimensions) to a checked dataset of numbers.
-    member : callable
-        From (group, name) to what lies in this file.
+    They are in the group ``/images``; those without a numeric ``timestamp`` are left
+    out. `dataset` returns a checked dataset of numbers for (group, name, dimensions),
+    `member` what lies in this file for (group, name).
     """
 
     def __init__(self, group: Any, dataset: Callable[[Any, str, int], Any],

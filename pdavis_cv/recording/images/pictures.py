@@ -23,21 +23,9 @@ Images = Generator[tuple[float | None, NDArray[Any]], None, None]
 class PictureFacts:
     """What a file states of its images; None where it states nothing.
 
-    Parameters
-    ----------
-    kind : str
-        The format, for people.
-    count : int, optional
-        Number of images.
-    elapsed_us : ndarray of float64, shape (N,), optional
-        Time of each image.
-    interval_us : float, optional
-        Time between two images.
-    exposure_us : float, optional
-    full_scale_dn : int, optional
-        Largest value that the camera's converter gives.
-    lossy : str, optional
-        Name of the codec, if it loses detail.
+    `kind` is the format, for people; `elapsed_us` the time of each image, float64 (N,),
+    `interval_us` that between two; `full_scale_dn` the largest value that the camera's
+    converter gives; `lossy` the name of the codec, if it loses detail.
     """
 
     kind: str
