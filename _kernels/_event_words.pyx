@@ -134,19 +134,19 @@ cdef inline Py_ssize_t single_events(
     """Decode what usually is there: a time or none, a row or none, and an event.
 
     Returns the index of the first word that is not, below n.  Which of them there are
-    cannot be predicted, so they are selected by masks, without branches.
+    cannot be predicted, so they are selected by masks, without branches; both are told
+    from the same two words, as others would have to be waited for.
     """
     cdef int64_t high = at[LOOPS] + (at[HIGH] << 12), time = at[TIME], row = at[ROW]
-    cdef int64_t x, mask, last = s[LAST]
+    cdef int64_t x, timed, rowed, last = s[LAST]
     cdef bint fall = False
     cdef Py_ssize_t k = s[FILLED]
     while i + 3 < n and k <= room:
-        mask = -<int64_t>(words[i] >> 12 == 6)
-        time += (high + (words[i] & 0xFFF) - time) & mask
-        i -= mask
-        mask = -<int64_t>(words[i] >> 12 == 0)
-        row += ((words[i] & 0x7FF) - row) & mask
-        i -= mask
+        timed = words[i] >> 12 == 6
+        rowed = (words[i] >> 12 == 0) | (words[i + 1] >> 12 == 0) & timed
+        time += (high + (words[i] & 0xFFF) - time) & -timed
+        row += ((words[i + timed] & 0x7FF) - row) & -rowed
+        i += timed + rowed
         x = words[i] & 0x7FF
         if (words[i] >> 12 != 2) | (x >= width) | (row >= height):
             break
