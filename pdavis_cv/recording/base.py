@@ -232,9 +232,9 @@ def joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """Return one or more arrays of the same dtype as one array, a copy."""
     out = np.empty(sum(map(len, parts)), parts[0].dtype)
     # Copy bytes, as NumPy copies packed structures field by field.
-    data, at = out.view(np.uint8), 0
+    data, at = np.frombuffer(out, np.uint8), 0
     for part in parts:
-        data[at:at + part.nbytes] = part.view(np.uint8)
+        data[at:at + part.nbytes] = np.frombuffer(part, np.uint8)
         at += part.nbytes
     return out
 

@@ -6,7 +6,7 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from itertools import chain
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
@@ -89,6 +89,10 @@ def packetise(
             if others is None:
                 closing = frames[0].available_us if frames else END_OF_TIME
                 others = min(imu.next_us, triggers.next_us, closing)
+            while own and events.inside and (parts := events.whole(
+                    min(others, batch.complete_us, end, latest))):
+                for part in parts:
+                    yield Packet(part, (), imu.none, triggers.none)
             at = events.next_us if events.next_us < others else others
             if at >= end:
                 break
@@ -137,15 +141,21 @@ def between(samples: NDArray[Any], start: int, stop: int) -> NDArray[Any]:
 
 
 class _Queue:
-    """Samples of one kind that are not yet in a packet, each piece of one cell."""
+    """Samples of one kind that are not yet in a packet.
 
-    __slots__ = ("_most", "_pieces", "nbytes", "next_us", "none")
+    They are in `_runs`: samples, where the cells among them begin, and end, and the
+    times of their first ones; of the first run, from the cell `_at` on.  The last cell
+    may go on in the next run; `inside` a run there are others, which do not.
+    """
+
+    __slots__ = ("_at", "_most", "_runs", "inside", "nbytes", "next_us", "none")
 
     def __init__(self, dtype: np.dtype[Any], most: int) -> None:
         self._most = most
-        self._pieces: deque[tuple[int, NDArray[Any]]] = deque()
+        self._runs: deque[tuple[NDArray[Any], list[int], list[int]]] = deque()
         self.none = np.empty(0, dtype)
-        self.nbytes = 0
+        self.nbytes = self._at = 0
+        self.inside = False
         self.next_us = END_OF_TIME
 
     def put(self, samples: NDArray[Any], begin: int) -> None:
@@ -153,40 +163,68 @@ class _Queue:
             np.ascontiguousarray(samples).view(np.uint8), samples.itemsize,
             MAX_PACKET_US)
         first = bisect_left(times, begin)
-        starts.append(len(samples))
-        self.nbytes += (len(samples) - starts[first]) * samples.itemsize
-        base, block, at = samples.base, samples, 0
-        small = self._most and base is not None and (
-            samples.nbytes < min(_SMALL, base.nbytes / self._most) * len(times))
-        step = _TOGETHER if small else len(times)
-        for i in range(first, len(times), step):
-            ends = starts[i:i + step + 1]
-            if small:
-                block, at = joined([samples[ends[0]:ends[-1]]]), ends[0]
-            self._pieces.extend((t, block[start - at:stop - at]) for t, start, stop in
-                                zip(times[i:], ends, ends[1:], strict=False))
-        self.next_us = self._pieces[0][0] if self._pieces else END_OF_TIME
+        if first < len(times):
+            starts.append(len(samples))
+            self.nbytes += (len(samples) - starts[first]) * samples.itemsize
+            self._runs.append((samples, starts[first:], times[first:]))
+            self.next_us = self._runs[0][2][self._at]
 
     def take(self, until: int, limit: int = END_OF_TIME) -> NDArray[Any]:
         """Remove and return samples before until, at most limit, all of one cell."""
         if self.next_us >= until:
             return self.none
-        pieces, got, partial = self._pieces, [], until % MAX_PACKET_US
+        got, partial = [], until % MAX_PACKET_US
         while self.next_us < until and limit > 0:
-            _, piece = pieces.popleft()
-            if partial or len(piece) > limit:
-                hi = min(len(piece), limit)
-                if partial:
-                    hi = bisect_left(piece["t"], until, 0, hi)
-                if hi < len(piece):
-                    pieces.appendleft((int(piece["t"][hi]), piece[hi:]))
-                    piece = piece[:hi]
-            got.append(piece)
-            limit -= len(piece)
-            self.next_us = pieces[0][0] if pieces else END_OF_TIME
+            samples, starts, times = self._runs[0]
+            at = self._at
+            start, end = starts[at], starts[at + 1]
+            stop = end if end - start <= limit else start + limit
+            if partial:
+                stop = bisect_left(samples["t"], until, start, stop)
+            got.append(samples[start:stop])
+            limit -= stop - start
+            if stop < end:
+                starts[at], times[at] = stop, int(samples["t"][stop])
+                self.next_us = times[at]
+            else:
+                self._move(at + 1)
         found = got[0]
-        base = found.base
-        if len(got) > 1 or base is None or base.nbytes > self._most * found.nbytes:
+        if len(got) > 1 or _kept(found) > self._most * found.nbytes:
             found = joined(got)
         self.nbytes -= found.nbytes
         return found
+
+    def whole(self, until: int) -> list[NDArray[Any]]:
+        """Remove and return the next cells `inside` that end by a time, if small."""
+        samples, starts, times = self._runs[0]
+        at = self._at
+        last = bisect_left(times, cell_start(until), at,
+                           min(at + _TOGETHER, len(times) - 1))
+        first, block = starts[at], samples[starts[at]:starts[last]]
+        if last == at or block.nbytes > _TOGETHER * _SMALL:
+            return []
+        kept = _kept(block)
+        if self._most * block.nbytes < kept * (last - at):
+            block, kept = joined([block]), block.nbytes
+        parts = [block[start - first:stop - first]
+                 for start, stop in pairwise(starts[at:last + 1])]
+        least = kept / (self._most * samples.itemsize)
+        if min(map(len, parts)) < least:
+            parts = [part if len(part) >= least else joined([part]) for part in parts]
+        self.nbytes -= block.nbytes
+        self._move(last)
+        return parts
+
+    def _move(self, at: int) -> None:
+        """Go on to a cell of the first run, or to the next run."""
+        if at == len(self._runs[0][2]):
+            self._runs.popleft()
+            at = 0
+        self._at = at
+        times = self._runs[0][2] if self._runs else [END_OF_TIME]
+        self.next_us, self.inside = times[at], 0 < at < len(times) - 1
+
+
+def _kept(part: NDArray[Any]) -> int:
+    """Return how many bytes of memory a view keeps."""
+    return 0 if part.base is None else part.base.nbytes
