@@ -1,60 +1,208 @@
-/* Row functions of the means of colours (see _colours.pyx): one row per call. */
+/* Row functions of mosaics of colours (see _colours.pyx): one row per call.
+
+   Rows of pixels and of blocks have room for two more floats at either end.  Of a row of
+   a Bayer mosaic, n is its colour beside green, and o the third. */
 #ifndef PDAVIS_CV_COLOURS_H
 #define PDAVIS_CV_COLOURS_H
 
 #include "_clones.h"
 
-/* Add a row's products with its guide, and the guide's squares, times its tap. */
-PDAVIS_CLONES PDAVIS_UNUSED static void colour_products(
-    const float *restrict image, const float *restrict guide, float tap, ptrdiff_t w,
-    float *restrict above, float *restrict below)
+PDAVIS_INLINE float at_least(float least, float value)
+{
+    return value > least ? value : least;
+}
+
+/* The three colours of a row of pixels; filters cover two, green ones lie at odd
+   (x + shift) / 2.  beside is the mean of the rows of the same polarizers above and
+   below. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_bilinear(
+    const float *restrict own, const float *restrict beside, int shift, ptrdiff_t w,
+    float *restrict n, float *restrict green, float *restrict o)
 {
     for (ptrdiff_t x = 0; x < w; x++) {
-        above[x] += tap * (image[x] * guide[x]);
-        below[x] += tap * (guide[x] * guide[x]);
+        int32_t here = -((((int32_t)x + shift) >> 1) & 1);
+        float along = 0.5f * (own[x - 2] + own[x + 2]);
+        n[x] = pick(here, along, own[x]);
+        green[x] = pick(here, own[x], 0.5f * (along + beside[x]));
+        o[x] = pick(here, beside[x], 0.5f * (beside[x - 2] + beside[x + 2]));
     }
 }
 
-/* Sum the four kinds of rows where their pixels have the colour. */
-PDAVIS_CLONES PDAVIS_UNUSED static void colour_masked(
-    const float *restrict mask, const float *restrict part, ptrdiff_t stride,
-    ptrdiff_t w, float *restrict to)
+PDAVIS_INLINE float part_of(float difference, float sum)
 {
+    float part = difference / sum;
+    return part < -1.0f ? -1.0f : part > 1.0f ? 1.0f : part;
+}
+
+/* The sum of each block of 2x2 pixels, and its three differences in parts of it: of
+   columns, of rows, of diagonals.  A part of what is positive is at most 1. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_blocks(
+    const float *restrict upper, const float *restrict lower, ptrdiff_t w,
+    float *restrict light, float *restrict part_x, float *restrict part_y,
+    float *restrict part_d)
+{
+    for (ptrdiff_t x = 0; x < w; x++) {
+        float a = upper[2 * x], b = upper[2 * x + 1], c = lower[2 * x];
+        float d = lower[2 * x + 1], sum = (a + b) + (c + d);
+        light[x] = sum = at_least(1e-20f, sum);
+        part_x[x] = part_of((a + c) - (b + d), sum);
+        part_y[x] = part_of((a + b) - (c + d), sum);
+        part_d[x] = part_of((a + d) - (b + c), sum);
+    }
+}
+
+/* Means (1, 2, 3, 2, 1) down the columns, of rows of this kind and of the other.  What
+   parts owe to the slope of their colour, as blocks two away tell it, is taken off. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_columns(
+    const float *const *rows, ptrdiff_t w, float *restrict same, float *restrict other,
+    float *restrict part_x, float *restrict part_y)
+{
+    const float *restrict a = rows[0], *restrict b = rows[1], *restrict c = rows[2];
+    const float *restrict d = rows[3], *restrict e = rows[4];
+    for (ptrdiff_t x = -2; x < w + 2; x++) {
+        same[x] = 0.2f * ((a[x] + e[x]) + 3.0f * c[x]);
+        other[x] = 0.5f * (b[x] + d[x]);
+    }
+    for (ptrdiff_t x = 0; x < w; x++) {
+        float before = c[x - 2], behind = c[x + 2], twice = 2.0f * c[x];
+        part_x[x] += 0.25f * (behind - before) / ((behind + before) + twice);
+        part_y[x] += 0.25f * (e[x] - a[x]) / ((e[x] + a[x]) + twice);
+    }
+}
+
+/* Means of the three colours from the same along the row, and the block's own light in
+   proportion to that of its colour.  Green blocks lie at odd x + shift. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_means(
+    const float *restrict same, const float *restrict other,
+    const float *restrict light, int shift, ptrdiff_t w, float *restrict n,
+    float *restrict green, float *restrict o, float *restrict grey)
+{
+    for (ptrdiff_t x = 0; x < w; x++) {
+        int32_t here = -(((int32_t)x + shift) & 1);
+        float a = 0.2f * ((same[x - 2] + same[x + 2]) + 3.0f * same[x]);
+        float b = 0.5f * (same[x - 1] + same[x + 1]);
+        float c = 0.2f * ((other[x - 2] + other[x + 2]) + 3.0f * other[x]);
+        float d = 0.5f * (other[x - 1] + other[x + 1]);
+        /* 25 and 16 are the sums of the weights of the two kinds of green. */
+        float own = pick(here, (25.0f * a + 16.0f * d) / 41.0f, a);
+        n[x] = pick(here, b, a);
+        green[x] = pick(here, own, 0.5f * (b + c));
+        o[x] = pick(here, c, d);
+        grey[x] = light[x] / own;
+    }
+}
+
+/* The share of a row of blocks in cells: of red or blue, and of two that are green. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_cells(
+    const float *restrict part, ptrdiff_t odd, ptrdiff_t n, float *restrict own,
+    float *restrict green)
+{
+    for (ptrdiff_t j = 0; j < n; j++) {
+        own[j] = part[2 * j + odd];
+        green[j] = 0.5f * part[2 * j + 1 - odd] + (odd ? green[j] : 0.0f);
+    }
+}
+
+/* The window (1, 2, 3, 4, 3, 2, 1) down rows, and along them with three ends more. */
+#define PDAVIS_SEVEN(a, b, c, d, e, f, g)                                            \
+    ((((a) + (g)) + 2.0f * ((b) + (f))) + (3.0f * ((c) + (e)) + 4.0f * (d)))
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_window(
+    const float *const *rows, ptrdiff_t n, float *restrict spare, float *restrict out)
+{
+    const float *restrict a = rows[0], *restrict b = rows[1], *restrict c = rows[2];
+    const float *restrict d = rows[3], *restrict e = rows[4], *restrict f = rows[5];
+    const float *restrict g = rows[6];
+    for (ptrdiff_t x = 0; x < n; x++)
+        spare[x] = PDAVIS_SEVEN(a[x], b[x], c[x], d[x], e[x], f[x], g[x]);
+    for (ptrdiff_t x = 0; x < 3; x++) {
+        spare[-1 - x] = spare[0];
+        spare[n + x] = spare[n - 1];
+    }
+    for (ptrdiff_t x = 0; x < n; x++)
+        out[x] = PDAVIS_SEVEN(spare[x - 3], spare[x - 2], spare[x - 1], spare[x],
+                              spare[x + 1], spare[x + 2], spare[x + 3]) / 256.0f;
+}
+
+/* The least of a part of grey: below is noise. */
+PDAVIS_INLINE float above_noise(float part) { return at_least(0.02f, part); }
+
+/* Means of colours around blocks become tints: the colours over the mean of all.  They
+   are multiplied by those of the grey mosaic of blocks, of which two are green. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_tints(
+    const float *const *grey, ptrdiff_t w, float *restrict red, float *restrict green,
+    float *restrict blue)
+{
+    const float *restrict p = grey[0], *restrict q = grey[1], *restrict r = grey[2];
+    const float *restrict s = grey[3];
+    for (ptrdiff_t x = 0; x < w; x++) {
+        float a = at_least(0.0f, red[x] * p[x]), c = at_least(0.0f, blue[x] * s[x]);
+        float b = at_least(0.0f, green[x] * (0.5f * (q[x] + r[x])));
+        float level = 1.0f / at_least(1e-20f, (a + (b + c)) / 3.0f);
+        red[x] = above_noise(a * level);
+        green[x] = above_noise(b * level);
+        blue[x] = above_noise(c * level);
+    }
+}
+
+/* Twice as many values along a row between two: the first one, and a share of the
+   second.  Of two values the first has a share of what is before, the other of what is
+   behind. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_spread(
+    const float *a, const float *b, float share, float before, float behind,
+    ptrdiff_t n, float *restrict out)
+{
+#define PDAVIS_MIXED(x) ((1.0f - share) * a[x] + share * b[x])
+    out[0] = PDAVIS_MIXED(0);
+    out[2 * n - 1] = PDAVIS_MIXED(n - 1);
+    for (ptrdiff_t x = 0; x < n - 1; x++) {
+        float here = PDAVIS_MIXED(x), next = PDAVIS_MIXED(x + 1);
+        out[2 * x + 1] = (1.0f - behind) * here + behind * next;
+        out[2 * x + 2] = (1.0f - before) * next + before * here;
+    }
+}
+
+/* A colour in parts of grey behind the polarizers at four places of each block: its
+   tint times 1 +- x +- y +- d, at least a 50th. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_factors(
+    const float *restrict tint, const float *restrict part_x,
+    const float *restrict part_y, const float *restrict part_d, ptrdiff_t w,
+    float *restrict to0, float *restrict to1, float *restrict to2, float *restrict to3)
+{
+    for (ptrdiff_t x = 0; x < w; x++) {
+        float a = 1.0f + part_x[x], b = 1.0f - part_x[x];
+        float plus = part_y[x] + part_d[x], minus = part_y[x] - part_d[x];
+        to0[x] = tint[x] * above_noise(a + plus);
+        to1[x] = tint[x] * above_noise(b + minus);
+        to2[x] = tint[x] * above_noise(a - plus);
+        to3[x] = tint[x] * above_noise(b - minus);
+    }
+}
+
+/* Divide a row of pixels by factors between two rows of blocks, each of four kinds: at
+   the two pixels of even, then of odd blocks. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_divide(
+    const float *const *here, const float *const *beside, const float *restrict own,
+    ptrdiff_t w, float *restrict out)
+{
+    const float *restrict a = here[0], *restrict b = here[1], *restrict c = here[2];
+    const float *restrict d = here[3], *restrict p = beside[0], *restrict q = beside[1];
+    const float *restrict r = beside[2], *restrict s = beside[3];
+    for (ptrdiff_t x = 0; x < w; x++) {
+        int32_t odd = -((int32_t)x & 1), second = -((int32_t)x >> 1 & 1);
+        float near = pick(second, pick(odd, d[x], c[x]), pick(odd, b[x], a[x]));
+        float far = pick(second, pick(odd, s[x], r[x]), pick(odd, q[x], p[x]));
+        out[x] = own[x] / (0.75f * near + 0.25f * far);
+    }
+}
+
+/* Multiply a row of pixels, which may be out, by factors between two rows of blocks. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_multiply(
+    const float *restrict here, const float *restrict beside, const float *grey,
+    ptrdiff_t w, float *out)
+{
+#pragma GCC ivdep
     for (ptrdiff_t x = 0; x < w; x++)
-        to[x] = ((mask[x] * part[x] + mask[stride + x] * part[2 * stride + x])
-                 + mask[2 * stride + x] * part[4 * stride + x])
-                + mask[3 * stride + x] * part[6 * stride + x];
-}
-
-/* The ratio of two windowed rows, n taps step pixels apart; 0 where there is none. */
-PDAVIS_INLINE void ratio_of(
-    const float *restrict above, const float *restrict below,
-    const float *restrict taps, ptrdiff_t n, ptrdiff_t step, ptrdiff_t w,
-    float *restrict out)
-{
-    for (ptrdiff_t x = 0; x < w; x++) {
-        float a = 0.0f, b = 0.0f;
-        for (ptrdiff_t k = 0; k < n; k++) {
-            a += taps[k] * above[x + k * step];
-            b += taps[k] * below[x + k * step];
-        }
-        out[x] = b > 0.0f ? a / b : 0.0f;
-    }
-}
-
-/* With a number of taps that it knows, the compiler sums up many pixels at once. */
-PDAVIS_CLONES PDAVIS_UNUSED static void colour_ratio(
-    const float *restrict above, const float *restrict below,
-    const float *restrict taps, ptrdiff_t n, ptrdiff_t step, ptrdiff_t w,
-    float *restrict out)
-{
-    switch (n) {
-    case 3: ratio_of(above, below, taps, 3, step, w, out); break;
-    case 5: ratio_of(above, below, taps, 5, step, w, out); break;
-    case 9: ratio_of(above, below, taps, 9, step, w, out); break;
-    case 13: ratio_of(above, below, taps, 13, step, w, out); break;
-    default: ratio_of(above, below, taps, n, step, w, out);
-    }
+        out[x] = grey[x] * (0.75f * here[x] + 0.25f * beside[x]);
 }
 
 #endif

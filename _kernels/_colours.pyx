@@ -1,11 +1,39 @@
-"""Local means of the colours of a mosaic."""
+"""Demosaicing of mosaics of colours and polarizers.
+
+Bilinear: each polarizer sees a Bayer mosaic of half the size, whose colours make three
+mosaics of polarizers.
+
+Guided: blocks of 2x2 pixels behind one filter are a Bayer mosaic too.  It tells the
+colours' tints; cells of 4x4 pixels tell what is polarized in each colour.  Both turn
+the mosaic into a grey one, and its channels into those of the colours.  Cells begin
+with red.  The equations are in docs/theory/demosaicing.md.
+"""
 from libc.stdint cimport uint8_t
 
+from _kernels._rows cimport (
+    check_places, mirror_ends, mirrored, plane_of_place, row_stride, scratch_row)
+from _kernels._types cimport pixel_t
+
 cdef extern from "_colours.h" nogil:
-    void colour_products(const float*, const float*, float, Py_ssize_t, float*, float*)
-    void colour_masked(const float*, const float*, Py_ssize_t, Py_ssize_t, float*)
-    void colour_ratio(const float*, const float*, const float*, Py_ssize_t, Py_ssize_t,
-                      Py_ssize_t, float*)
+    void colour_bilinear(const float*, const float*, int, Py_ssize_t, float*, float*,
+                         float*)
+    void colour_blocks(const float*, const float*, Py_ssize_t, float*, float*, float*,
+                       float*)
+    void colour_columns(const float**, Py_ssize_t, float*, float*, float*, float*)
+    void colour_means(const float*, const float*, const float*, int, Py_ssize_t, float*,
+                      float*, float*, float*)
+    void colour_cells(const float*, Py_ssize_t, Py_ssize_t, float*, float*)
+    void colour_window(const float**, Py_ssize_t, float*, float*)
+    void tints_row "colour_tints"(const float**, Py_ssize_t, float*, float*, float*)
+    void colour_spread(const float*, const float*, float, float, float, Py_ssize_t,
+                       float*)
+    void colour_factors(const float*, const float*, const float*, const float*,
+                        Py_ssize_t, float*, float*, float*, float*)
+    void colour_divide(const float**, const float**, const float*, Py_ssize_t, float*)
+    void colour_multiply(const float*, const float*, const float*, Py_ssize_t, float*)
+
+cdef enum:
+    ROWS = 55   # twelve rings of four pixel rows, seven more
 
 
 cdef inline Py_ssize_t inside(Py_ssize_t i, Py_ssize_t n) noexcept nogil:
@@ -13,55 +41,203 @@ cdef inline Py_ssize_t inside(Py_ssize_t i, Py_ssize_t n) noexcept nogil:
     return i & 3 if i < 0 else n - 4 + ((i - n) & 3) if i >= n else i
 
 
-def colour_means(const float[:, ::1] image not None,
-                 const float[:, ::1] guide not None,
-                 const uint8_t[:, ::1] cell not None, const float[::1] taps not None,
-                 Py_ssize_t step, float[::1] scratch not None,
-                 float[:, :, ::1] out not None):
-    """Write the first colours' ratios of image to guide around pixels to out (n, h, w).
+def colour_bilinears(const pixel_t[:, ::1] mosaic not None,
+                     const uint8_t[:, ::1] cell not None, float[::1] scratch not None,
+                     float[:, :, ::1] out not None):
+    """Interpolate the colours of mosaic (h, w), sides >= 4, to out (3, h, w).
 
-    It is sum(t i g) / sum(t g g) over the pixels of a colour, as cell (4, 4) tells, 0
-    without any; where the guide is 1 or 0, the mean of those with 1.  t are taps along
-    columns times taps along rows, step pixels apart.  The last cell is repeated beyond
-    borders; sides >= 4.  scratch is 26 * (w + (taps - 1) * step) floats.
+    cell (4, 4) has those of the filters, each over 2x2 pixels.  The last cell is
+    repeated beyond borders.  scratch is 2 * (w + 32) + 32 floats.
     """
-    cdef Py_ssize_t h = image.shape[0], w = image.shape[1], n = taps.shape[0]
-    cdef Py_ssize_t reach = n // 2 * step, stride = w + 2 * reach, y, x, k, c, p, at
-    cdef float* mask = &scratch[0]                   # (3, 4): of colour and row
-    cdef float* part = &scratch[0] + 12 * stride     # (4, 2): sums of rows of a kind
-    cdef float* sums = &scratch[0] + 20 * stride     # (3, 2), with repeated ends
-    cdef float* above
-    cdef float zero = 0, one = 1
-    if (h < 4 or w < 4 or guide.shape[0] != h or guide.shape[1] != w
-            or out.shape[0] > 3 or out.shape[1] != h or out.shape[2] != w):
-        raise ValueError("colour_means: image and guide must be (h, w), sides >= 4, "
-                         "out (3 or less, h, w)")
-    if cell.shape[0] != 4 or cell.shape[1] != 4 or n % 2 == 0 or step < 1:
-        raise ValueError("colour_means: cell must be (4, 4), taps odd, step >= 1")
-    if scratch.shape[0] < 26 * stride:
-        raise ValueError("colour_means: scratch must be 26 rows with their ends")
+    cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], y, x, k, c
+    cdef bint first, second
+    cdef float half = 0.5
+    cdef float* row[2]
+    cdef const pixel_t* above
+    cdef const pixel_t* below
+    if h < 4 or w < 4 or out.shape[0] != 3 or out.shape[1] != h or out.shape[2] != w:
+        raise ValueError(
+            "colour_bilinears: mosaic must be (h, w), sides >= 4, out (3, h, w)")
+    if (cell.shape[0] != 4 or cell.shape[1] != 4
+            or scratch.shape[0] < 2 * row_stride(w) + 32):
+        raise ValueError("colour_bilinears: cell must be (4, 4), scratch "
+                         "2 * (w + 32) + 32 floats")
+    row[0], row[1] = scratch_row(&scratch[0], 0, w), scratch_row(&scratch[0], 1, w)
     with nogil:
-        for x in range(26 * stride):
-            scratch[x] = zero
-        for k in range(4):
-            for x in range(w):
-                if cell[k, x & 3] < out.shape[0]:
-                    mask[(4 * cell[k, x & 3] + k) * stride + x] = one
         for y in range(h):
-            for x in range(8 * stride):
-                part[x] = zero
-            for k in range(n):
-                at = inside(y + (k - n // 2) * step, h)
-                above = part + 2 * (at & 3) * stride
-                colour_products(
-                    &image[at, 0], &guide[at, 0], taps[k], w, above, above + stride)
-            for c in range(out.shape[0]):
-                for p in range(2):
-                    above = sums + (2 * c + p) * stride + reach
-                    colour_masked(mask + 4 * c * stride, part + p * stride, stride, w,
-                                  above)
-                    for x in range(reach):
-                        (above - reach)[x] = above[inside(x - reach, w)]
-                        above[w + x] = above[inside(w + x, w)]
-                above = sums + 2 * c * stride
-                colour_ratio(above, above + stride, &taps[0], n, step, w, &out[c, y, 0])
+            above, below = &mosaic[inside(y - 2, h), 0], &mosaic[inside(y + 2, h), 0]
+            for x in range(w):
+                row[0][x] = <float>mosaic[y, x]
+                row[1][x] = half * (<float>above[x] + <float>below[x])
+            for k in range(2):
+                for x in range(2):
+                    (row[k] - 2)[x] = row[k][2 + x]
+                    row[k][w + x] = row[k][w - 4 + x]
+            first, second = cell[y & 3, 0] == 1, cell[y & 3, 1] == 1   # are green
+            c = cell[y & 3, 2 * first] & 2
+            colour_bilinear(row[0], row[1], 2 * first + (first != second), w,
+                            &out[c, y, 0], &out[1, y, 0], &out[2 - c, y, 0])
+
+
+def colour_ratios(const pixel_t[:, ::1] mosaic not None, float[::1] scratch not None,
+                  float[:, :, ::1] means not None, float[:, ::1] grey not None,
+                  float[:, :, :, :, ::1] parts not None):
+    """Find the colours of mosaic (4h, 4w).
+
+    means (3, 2h, 2w) are those of red, green and blue around each block, grey (2h, 2w)
+    its own light over that of its colour.  parts[0] (3, 3, h, w) are, around each cell,
+    the differences of columns, of rows and of diagonals of each colour over its light;
+    parts[1] are those of the cell itself.  scratch is 55 * (4 w + 32) + 32 floats.
+    """
+    cdef Py_ssize_t h = grey.shape[0], w = grey.shape[1], i, f, j, k, c, y
+    cdef float* row[55]    # four rings of eight rows, four single ones
+    cdef const float* around[7]
+    check_ratios(mosaic.shape[0], mosaic.shape[1], means, parts[0], scratch)
+    if parts.shape[0] != 2 or h != means.shape[1] or w != means.shape[2]:
+        raise ValueError("colour_ratios: parts must be two, grey of the size of means")
+    with nogil:
+        for k in range(ROWS):
+            row[k] = scratch_row(&scratch[0], k, 2 * w)
+        for i in range(h + 2):
+            if i < h:      # samples of row i of blocks
+                for j in range(2 * w):
+                    row[32][j] = <float>mosaic[2 * i, j]
+                    row[33][j] = <float>mosaic[2 * i + 1, j]
+                k = i & 7
+                colour_blocks(row[32], row[33], w, row[k], row[8 + k], row[16 + k],
+                              row[24 + k])
+                mirror_ends(row[k], w)
+            f = i - 2
+            if f >= 0:     # means of row f, and its share of the cells
+                for k in range(5):
+                    around[k] = row[mirrored(f + k - 2, h) & 7]
+                colour_columns(around, w, row[34], row[35], row[8 + (f & 7)],
+                               row[16 + (f & 7)])
+                c = 2 * (f & 1)
+                colour_means(row[34], row[35], row[f & 7], f & 1, w, &means[c, f, 0],
+                             &means[1, f, 0], &means[2 - c, f, 0], &grey[f, 0])
+                for k in range(3):
+                    colour_cells(row[8 + 8 * k + (f & 7)], f & 1, w // 2,
+                                 &parts[1, c, k, f // 2, 0], &parts[1, 1, k, f // 2, 0])
+        for c in range(3):
+            for y in range(h // 2):
+                for k in range(3):
+                    for j in range(7):
+                        i = min(max(y + j - 3, 0), h // 2 - 1)
+                        around[j] = &parts[1, c, k, i, 0]
+                    colour_window(around, w // 2, row[0] + 1,
+                                  &parts[0, c, k, y, 0])
+
+
+def colour_tints(const float[:, :, ::1] grey not None,
+                 float[:, :, ::1] means not None):
+    """Make of means (3, 2h, 2w) tints: colours over the mean of all.
+
+    grey (4, 2h, 2w) are red, two of green, and blue of the grey mosaic of blocks.
+    """
+    cdef Py_ssize_t y, k
+    cdef const float* row[4]
+    if (means.shape[0] != 3 or grey.shape[0] != 4 or grey.shape[1] != means.shape[1]
+            or grey.shape[2] != means.shape[2]):
+        raise ValueError("colour_tints: grey must be (4, h, w), means (3, h, w)")
+    with nogil:
+        for y in range(means.shape[1]):
+            for k in range(4):
+                row[k] = &grey[k, y, 0]
+            tints_row(row, means.shape[2], &means[0, y, 0], &means[1, y, 0],
+                      &means[2, y, 0])
+
+
+cdef int check_ratios(Py_ssize_t h, Py_ssize_t w, const float[:, :, ::1] tints,
+                      const float[:, :, :, ::1] parts, float[::1] scratch) except -1:
+    if (h < 4 or w < 4 or h % 4 or w % 4 or tints.shape[0] != 3
+            or 2 * tints.shape[1] != h or 2 * tints.shape[2] != w or parts.shape[0] != 3
+            or parts.shape[1] != 3 or 4 * parts.shape[2] != h or 4 * parts.shape[3] != w
+            or scratch.shape[0] < ROWS * row_stride(w) + 32):
+        raise ValueError("images must be (4h, 4w), of blocks (3, 2h, 2w), of cells "
+                         "(3, 3, h, w), scratch 55 * (4 w + 32) + 32 floats")
+    return 0
+
+
+cdef inline void factors(const float[:, :, ::1] tints, const float[:, :, :, ::1] parts,
+                         Py_ssize_t i, float** row) noexcept nogil:
+    """Put the pixels of row i of blocks into slot i % 4 of twelve rings."""
+    cdef Py_ssize_t j = i // 2, n = parts.shape[3], beside, k, c
+    cdef float share, before, behind
+    for c in range(3 if i < tints.shape[1] else 0):
+        # Red blocks lie half a block before the centre of a cell, blue ones behind it.
+        before, behind = 0.25 * c, 0.5 - 0.25 * c
+        share, beside = (behind, j + 1) if i & 1 else (before, j - 1)
+        beside = min(max(beside, 0), parts.shape[2] - 1)
+        for k in range(3):
+            colour_spread(&parts[c, k, j, 0], &parts[c, k, beside, 0], share, before,
+                          behind, n, row[48 + k])
+        colour_factors(&tints[c, i, 0], row[48], row[49], row[50], 2 * n, row[51],
+                       row[52], row[53], row[54])
+        for k in range(4):
+            colour_spread(row[51 + k], row[51 + k], 0, 0.25, 0.25, 2 * n,
+                          row[16 * c + 4 * k + (i & 3)])
+
+
+cdef inline Py_ssize_t block_beside(Py_ssize_t y, Py_ssize_t h) noexcept nogil:
+    """Of h rows of blocks the one nearest to row y of pixels beside its own."""
+    return min(max(y // 2 + (1 if y & 1 else -1), 0), h - 1)
+
+
+def grey_mosaic(const pixel_t[:, ::1] mosaic not None,
+                const float[:, :, ::1] tints not None,
+                const float[:, :, :, ::1] parts not None, float[::1] scratch not None,
+                float[:, ::1] out not None):
+    """Divide each sample of mosaic by what its colour is in parts of grey."""
+    cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], x, y, k, p
+    cdef float* row[55]
+    cdef const float* here[4]
+    cdef const float* beside[4]
+    check_ratios(h, w, tints, parts, scratch)
+    if out.shape[0] != h or out.shape[1] != w:
+        raise ValueError("grey_mosaic: out must have the size of mosaic")
+    with nogil:
+        for k in range(ROWS):
+            row[k] = scratch_row(&scratch[0], k, w)
+        factors(tints, parts, 0, row)
+        for y in range(h):
+            if not y & 1:
+                factors(tints, parts, y // 2 + 1, row)
+            for k in range(4):  # of the filters of even and of odd blocks
+                p = 16 * (k // 2 + (y // 2 & 1)) + 4 * (2 * (y & 1) + k % 2)
+                here[k] = row[p + (y // 2 & 3)]
+                beside[k] = row[p + (block_beside(y, h // 2) & 3)]
+            for x in range(w):
+                row[48][x] = <float>mosaic[y, x]
+            colour_divide(here, beside, row[48], w, &out[y, 0])
+
+
+def colour_planes(const Py_ssize_t[::1] places not None,
+                  const float[:, :, ::1] tints not None,
+                  const float[:, :, :, ::1] parts not None, float[::1] scratch not None,
+                  float[:, :, :, ::1] out not None):
+    """Multiply the channels of a grey mosaic by what each colour is in parts of grey.
+
+    They come as out[1] (4, 4h, 4w), and those of the three colours go to out.
+    """
+    cdef Py_ssize_t h = out.shape[2], w = out.shape[3], y, k, c, p
+    cdef Py_ssize_t plane[4]
+    cdef float* row[55]
+    check_ratios(h, w, tints, parts, scratch)
+    if out.shape[0] != 3 or out.shape[1] != 4:
+        raise ValueError("colour_planes: out must be (3, 4, 4h, 4w)")
+    check_places(places)
+    plane_of_place(places, plane)
+    with nogil:
+        for k in range(ROWS):
+            row[k] = scratch_row(&scratch[0], k, w)
+        factors(tints, parts, 0, row)
+        for y in range(h):
+            if not y & 1:
+                factors(tints, parts, y // 2 + 1, row)
+            for k in range(12):
+                c, p = 2 * (k // 4) % 3, k & 3      # green last, which is read
+                colour_multiply(
+                    row[16 * c + 4 * p + (y // 2 & 3)],
+                    row[16 * c + 4 * p + (block_beside(y, h // 2) & 3)],
+                    &out[1, plane[p], y, 0], w, &out[c, plane[p], y, 0])

@@ -12,7 +12,8 @@ which noise is filtered.  The equations are in docs/theory/demosaicing.md.
 """
 from libc.stdint cimport uint8_t
 
-from _kernels._rows cimport check_places, plane_of_place, row_stride, scratch_row
+from _kernels._rows cimport (
+    check_places, mirror_ends, mirrored, plane_of_place, row_stride, scratch_row)
 from _kernels._types cimport pixel_t
 
 cdef extern from "_guided.h" nogil:
@@ -69,19 +70,6 @@ cdef enum:
     VARIANCE = 128
     TERM = 129        # two terms
     ROWS = 131
-
-
-cdef inline Py_ssize_t mirrored(Py_ssize_t i, Py_ssize_t n) noexcept nogil:
-    """Index i of a row of n >= 2, mirrored at its ends without repeating them."""
-    i = (i if i >= 0 else -i) % (2 * n - 2)
-    return i if i < n else 2 * n - 2 - i
-
-
-cdef inline void mirror_ends(float* row, Py_ssize_t w) noexcept nogil:
-    (row - 2)[0] = row[mirrored(-2, w)]
-    (row - 1)[0] = row[1]
-    row[w] = row[w - 2]
-    row[w + 1] = row[mirrored(w + 1, w)]
 
 
 cdef inline void take_trust(const uint8_t* clean, Py_ssize_t w,

@@ -53,6 +53,19 @@ cdef inline float* scratch_row(
     return <float*>first + row * row_stride(w)
 
 
+cdef inline Py_ssize_t mirrored(Py_ssize_t i, Py_ssize_t n) noexcept nogil:
+    """Index i of a row of n >= 2, mirrored at its ends without repeating them."""
+    i = (i if i >= 0 else -i) % (2 * n - 2)
+    return i if i < n else 2 * n - 2 - i
+
+
+cdef inline void mirror_ends(float* row, Py_ssize_t w) noexcept nogil:
+    (row - 2)[0] = row[mirrored(-2, w)]
+    (row - 1)[0] = row[1]
+    row[w] = row[w - 2]
+    row[w + 1] = row[mirrored(w + 1, w)]
+
+
 cdef inline void plane_of_place(
         const Py_ssize_t[::1] places, Py_ssize_t* plane) noexcept nogil:
     cdef Py_ssize_t c

@@ -60,8 +60,18 @@ def ros_events(
 def least_squares(
     images: NDArray[_Pixel], solution: _F32, response: _F32, out: _F32, rest: _F32
 ) -> None: ...
-def colour_means(
-    image: _F32, guide: _F32, cell: _U8, taps: _F32, step: int, scratch: _F32, out: _F32
+def colour_bilinears(
+    mosaic: NDArray[_Pixel], cell: _U8, scratch: _F32, out: _F32
+) -> None: ...
+def colour_planes(
+    places: NDArray[np.intp], tints: _F32, parts: _F32, scratch: _F32, out: _F32
+) -> None: ...
+def colour_ratios(
+    mosaic: NDArray[_Pixel], scratch: _F32, means: _F32, grey: _F32, parts: _F32
+) -> None: ...
+def colour_tints(grey: _F32, means: _F32) -> None: ...
+def grey_mosaic(
+    mosaic: NDArray[_Pixel], tints: _F32, parts: _F32, scratch: _F32, out: _F32
 ) -> None: ...
 def settle(
     samples: NDArray[Any], accepted: int, n: int, reach: int, held: int, final: bool,

@@ -4,7 +4,8 @@ Each colour filter covers 2x2 pixels, which stand behind the four polarizers.
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,79 +20,64 @@ COLOURS = ("red", "green", "blue")
 COLOUR_METHODS = ("bilinear", "guided")
 """Methods of demosaicing for a layout with colours."""
 
-COLOUR_REACH = {"bilinear": 2, "guided": 24}
-"""Distance up to which `colour_mosaics` depends on other pixels.
+COLOUR_REACH = {"bilinear": 6, "guided": 26}
+"""Distance up to which the mosaics of colours depend on other pixels.
 
-Guided: 2 of a guide and 4 of a mean, twice; then 2 and 12."""
+Guided: 4 of a slope, 12 of a window of cells, and 6 of linear interpolation to pixels.
+Both: 4 more where a sample is replaced."""
 
-# Taps along rows and along columns.  Those of the guide leave nothing of the periods of
-# colours (4) and of polarizers (2); those of means weigh all places of a cell alike.
-_CELL = np.array([1, 2, 2, 2, 1], np.float32) / np.float32(8)
-_NEAR = np.array([1, 3, 6, 9, 10, 9, 6, 3, 1], np.float32) / np.float32(48)
-_FAR = np.array([1, 2, 3, 4, 5, 6, 7, 6, 5, 4, 3, 2, 1], np.float32) / np.float32(49)
-_NEXT = np.array([1, 2, 1], np.float32)
-_FLOOR = 0.02
-"""Smallest ratio of a colour or channel to the mean of all: below is noise."""
+_CELL = "RRGGRRGGGGBBGGBB"
+_BAYER = Layout((0, 45), (90, 135))
+"""Red, two of green, and blue as if they were channels of polarizers."""
 
 
-def colour_mosaics(
-    mosaic: Image, layout: Layout, method: str, valid: NDArray[np.bool_] | None = None,
-) -> NDArray[np.float32]:
-    """Return what pixels would measure behind each of `COLOURS`, float32 (3, H, W).
+def colour_channels(
+    mosaic: Image, layout: Layout, method: str, valid: NDArray[np.bool_] | None,
+    demosaic: Callable[..., NDArray[np.float32]], out: NDArray[np.float32],
+) -> None:
+    """Write what pixels would measure behind each of `COLOURS` to out (3, 4, H, W).
 
     ``"bilinear"`` takes a colour from its nearest samples behind the same polarizer.
-    ``"guided"`` multiplies the pixel's own sample by the ratio of two colours in its
-    surroundings, so that the detail of the image is that of all pixels.  The ratio is
-    that of colours whatever the polarizer, from near by, times that of the colours'
-    polarization, from farther off.  Own samples are kept.
+    ``"guided"`` divides each sample by what its colour is, behind its polarizer, in
+    parts of the grey around it; the four channels of that grey mosaic are multiplied by
+    what each colour is.  `demosaic` serves filters as it does polarizers.
 
-    The mosaic is (H, W), sides of at least 4, behind a layout with colours; samples
-    that are not `valid` do not count.
+    The mosaic is (H, W), sides of at least 4, behind a layout with colours, with usable
+    samples instead of those that are not `valid`.
     """
-    image = np.ascontiguousarray(mosaic, np.float32)
-    cell = np.array(["RGB".index(c) for c in layout.colours or ()], np.uint8)
-    cell = cell.reshape(4, 4)
-
-    usable = np.ones_like(image) if valid is None else valid.astype(np.float32)
-
-    def means(image: Image, guide: Image, taps: Image, step: int = 1,
-              cell: NDArray[np.uint8] = cell, count: int = 3) -> Image:
-        out = np.empty((count, *image.shape), np.float32)
-        ends = (len(taps) - 1) * step
-        _kernels.colour_means(
-            image, guide, cell, taps, step,
-            np.empty(26 * (image.shape[1] + ends), np.float32), out)
-        return out
-
-    def guide(image: Image) -> Image:
-        """Return the local mean of usable samples, 0 at the others."""
-        mean: Image = means(image, usable, _CELL, 1, np.zeros_like(cell), 1)[0] * usable
-        return mean
-
-    def own(planes: Image) -> Image:
-        """Return of each pixel the plane of its colour."""
-        out = np.empty_like(image)
-        for k, c in enumerate(cell.flat):
-            out[k // 4::4, k % 4::4] = planes[c, k // 4::4, k % 4::4]
-        return out
-
+    spare = np.empty(55 * (mosaic.shape[1] + 40) + 32, np.float32)
     if method == "bilinear":
-        out = means(image, usable, _NEXT, 2)
-        for k, c in enumerate(cell.flat):
-            out[c, k // 4::4, k % 4::4] = image[k // 4::4, k % 4::4]
-        return out
-    light = guide(image)
-    tint = means(image, light, _NEAR)
-    # What the window blurs is in the residual: it is fitted once more.
-    tint += means(image - own(tint) * light, light, _NEAR)
-    np.maximum(tint, _FLOOR, out=tint)
-    grey = image / own(tint)
-    out = means(grey, guide(grey), _FAR, 2)
-    np.maximum(out, _FLOOR, out=out)
-    grey /= own(out)
-    out *= tint
-    out *= grey
-    return out
+        planes = np.empty((3, *mosaic.shape), np.float32)
+        cell = np.array(["RGB".index(c) for c in layout.colours or ()], np.uint8)
+        _kernels.colour_bilinears(mosaic, cell.reshape(4, 4), spare, planes)
+        for plane, one in zip(planes, out, strict=True):
+            demosaic(plane, replace(layout, colours=None), method, one)
+        return
+    # Whole cells that begin with red; what lacks at borders is repeated.
+    top, left = next((y, x) for y, x in np.ndindex(4, 4)
+                     if layout.crop(-x, -y).colours == _CELL)
+    y, x = (np.arange(-first, n + -(first + n) % 4)
+            for first, n in zip((top, left), mosaic.shape, strict=True))
+    planes = out
+    if (len(y), len(x)) != mosaic.shape:
+        around = np.ix_(*(np.where(i < 0, i + 4, np.where(i < n, i, i - 4))
+                          for i, n in zip((y, x), mosaic.shape, strict=True)))
+        mosaic, valid = mosaic[around], None if valid is None else valid[around]
+        planes = np.empty((3, 4, *mosaic.shape), np.float32)
+    layout = replace(layout.crop(-left, -top), colours=None)
+    h, w = (n // 4 for n in mosaic.shape)
+    grey, lights, blocks, _ = planes[0]     # before they are what they shall be
+    lights, blocks = lights.reshape(4, 2 * h, 2 * w), blocks.reshape(4, 2 * h, 2 * w)[0]
+    tints = np.empty((3, 2 * h, 2 * w), np.float32)
+    parts = np.empty((2, 3, 3, h, w), np.float32)
+    _kernels.colour_ratios(mosaic, spare, tints, blocks, parts)
+    _kernels.colour_tints(demosaic(blocks, _BAYER, method, lights), tints)
+    _kernels.grey_mosaic(mosaic, tints, parts[0], spare, grey)
+    demosaic(grey, layout, method, planes[1], valid=valid)
+    _kernels.colour_planes(
+        np.array(layout.places, np.intp), tints, parts[0], spare, planes)
+    if planes is not out:
+        out[:] = planes[..., top:top + out.shape[2], left:left + out.shape[3]]
 
 
 def joint(quads: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:

@@ -1,7 +1,6 @@
 """Demosaicing: four full images from the 2x2 polarizer mosaic."""
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from pdavis_cv import _kernels
 from pdavis_cv._checks import output, typed
 from pdavis_cv._types import Image
-from pdavis_cv.colour_mosaic import COLOUR_METHODS, colour_mosaics
+from pdavis_cv.colour_mosaic import COLOUR_METHODS, colour_channels
 from pdavis_cv.sensor import Layout
 
 DEMOSAIC_METHODS = ("bilinear", "superpixel", "binned", "guided")
@@ -86,6 +85,7 @@ def demosaic(
         True = usable.  ``"guided"`` then ignores the values of the other samples, and
         replaces them by usable ones of their channel two pixels away.  The other
         methods use all samples; `demosaic_valid` returns which pixels are affected.
+        With colours both replace them by usable ones four pixels away first.
     variance : ndarray of float32, shape (H, W), optional
         Variance of each usable sample's logarithm.  ``"guided"`` then adds less of the
         residual of its first fit, as part of it is noise.  ``"bilinear"`` extrapolates
@@ -130,10 +130,9 @@ def demosaic(
     if layout.colours:
         out = output(out, (3, 4, height, width), np.float32, mosaic)
         if mosaic.size:
-            plain = replace(layout, colours=None)
-            planes = colour_mosaics(mosaic, layout, method, valid)
-            for plane, one in zip(planes, out, strict=True):
-                demosaic(plane, plain, method, one, valid=valid)
+            if valid is not None and not valid.all():
+                mosaic = filled_samples(mosaic, valid, 4)
+            colour_channels(mosaic, layout, method, valid, demosaic, out)
         return out
     places = places_of(layout)
     if method in HALF_SIZE:
@@ -245,17 +244,19 @@ def _eroded(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.ascontiguousarray(_and_beside(_and_beside(valid).T).T)
 
 
-def filled_samples(mosaic: Image, valid: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Replace each unusable sample by the mean of the usable ones two pixels away.
+def filled_samples(
+    mosaic: Image, valid: NDArray[np.bool_], step: int = 2
+) -> NDArray[np.float32]:
+    """Replace each unusable sample by the mean of the usable ones `step` pixels away.
 
-    These belong to the same channel.  If there are none, the sample is kept, or 0 if it
-    is not finite.
+    Two: of the same channel; four: of the same colour too.  If there are none, the
+    sample is kept, or 0 if it is not finite.
     """
     filled = mosaic.astype(np.float32)
     filled[~(valid | np.isfinite(filled))] = 0
     y, x = np.nonzero(~valid)
     total, count = np.zeros(len(y), np.float32), np.zeros(len(y), np.float32)
-    for dy, dx in ((-2, 0), (0, -2), (0, 2), (2, 0)):
+    for dy, dx in ((-step, 0), (0, -step), (0, step), (step, 0)):
         row, column = y + dy, x + dx
         inside = ((row >= 0) & (row < mosaic.shape[0])
                   & (column >= 0) & (column < mosaic.shape[1]))

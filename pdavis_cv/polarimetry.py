@@ -288,13 +288,12 @@ class PolarFrame(Advises):
             self._aop_dolp = self._origin._angle_and_degree()
         if self._aop_dolp is not None:
             return self._aop_dolp
-        angle, degree = (np.empty(self.shape, np.float32) for _ in range(2))
+        light, angle, degree = np.empty((3, *self.shape), np.float32)
         if self._analyser is not None or self._stokes is not None:
             s0, s1, s2 = self._planes()
             aop(s1, s2, angle)
             dolp(s0, s1, s2, degree)
         else:
-            light = np.empty(self.shape, np.float32)
             _kernels.s0_aop_dolp(
                 flat(self.quad), stokes_gain(self.extinction_ratio), light.reshape(-1),
                 angle.reshape(-1), degree.reshape(-1))

@@ -1,38 +1,130 @@
-"""Plain versions of the kernels of colour mosaics, pixel by pixel, in float32."""
+"""Plain versions of the kernels of colour mosaics, image by image, in float32."""
 import numpy as np
 
 F = np.float32
 
 
 def inside(i, n):
-    """The index, or the nearest one that differs by a multiple of 4."""
-    while i < 0:
-        i += 4
-    while i >= n:
-        i -= 4
-    return i
+    """Indices, or the nearest ones that differ by a multiple of 4."""
+    return np.where(i < 0, i % 4, np.where(i < n, i, n - 4 + (i - n) % 4))
 
 
-def colour_means(image, guide, cell, taps, step):
+def bilinear_planes(mosaic, cell):
+    """Each colour from its nearest samples behind the same polarizer."""
+    image, (h, w) = mosaic.astype(F), mosaic.shape
+    y, x = np.arange(h), np.arange(w)
+    seen = cell[np.ix_(y % 4, x % 4)]
+    nearest = F(0.5) * (image[inside(y - 2, h)] + image[inside(y + 2, h)])
+    left, right = inside(x - 2, w), inside(x + 2, w)
+    along = F(0.5) * (image[:, left] + image[:, right])
+    diagonal = F(0.5) * (nearest[:, left] + nearest[:, right])
+    in_row = np.stack([(seen == c).any(1) for c in range(3)])[..., None]
+    out = []
+    for c in range(3):
+        if c == 1:
+            other = F(0.5) * (along + nearest)
+        else:
+            other = np.where(in_row[c], along, np.where(seen == 1, nearest, diagonal))
+        out.append(np.where(seen == c, image, other))
+    return np.stack(out)
+
+
+def beside(image, dy, dx):
+    """The image moved, mirrored at its borders without repeating them."""
     h, w = image.shape
-    n = len(taps)
-    out = np.zeros((3, h, w), F)
-    for y in range(h):
-        parts = np.zeros((2, 4, w), F)
-        for k in range(n):
-            at = inside(y + (k - n // 2) * step, h)
-            parts[0, at % 4] += taps[k] * (image[at] * guide[at])
-            parts[1, at % 4] += taps[k] * (guide[at] * guide[at])
-        for c in range(3):
-            mask = np.array([[cell[r, x % 4] == c for x in range(w)]
-                             for r in range(4)], F)
-            sums = [((mask[0] * p[0] + mask[1] * p[1]) + mask[2] * p[2])
-                    + mask[3] * p[3] for p in parts]
-            for x in range(w):
-                above = below = F(0)
-                for k in range(n):
-                    at = inside(x + (k - n // 2) * step, w)
-                    above += taps[k] * sums[0][at]
-                    below += taps[k] * sums[1][at]
-                out[c, y, x] = above / below if below > 0 else 0
-    return out
+    y, x = (np.pad(np.arange(n), 2, "reflect")[2 + d:2 + d + n]
+            for n, d in ((h, dy), (w, dx)))
+    return image[np.ix_(y, x)]
+
+
+def colour_ratios(mosaic):
+    """Means of colours around blocks, blocks over that of their own, and parts."""
+    m = mosaic.astype(F)
+    a, b, c, d = m[::2, ::2], m[::2, 1::2], m[1::2, ::2], m[1::2, 1::2]
+    light = np.maximum((a + b) + (c + d), F(1e-20))
+    parts = [np.clip(change / light, F(-1), F(1)) for change in (
+        (a + c) - (b + d), (a + b) - (c + d), (a + d) - (b + c))]
+    for part, step in zip(parts, ((0, 2), (2, 0)), strict=False):
+        before, behind = beside(light, -step[0], -step[1]), beside(light, *step)
+        part += F(0.25) * (behind - before) / ((behind + before) + F(2) * light)
+    y, x = np.indices(light.shape)
+    green, red_row = (x + y) % 2 == 1, y % 2 == 0
+
+    def own(image, *step):
+        return F(0.2) * ((beside(image, -step[0], -step[1]) + beside(image, *step))
+                         + F(3) * image)
+
+    def other(image, *step):
+        return F(0.5) * (beside(image, -step[0], -step[1]) + beside(image, *step))
+
+    same, across = own(light, 2, 0), other(light, 1, 0)
+    a, b, c, d = own(same, 0, 2), other(same, 0, 1), own(across, 0, 2), other(
+        across, 0, 1)
+    of_own = np.where(green, (F(25) * a + F(16) * d) / F(41), a)
+    n, o = np.where(green, b, a), np.where(green, c, d)
+    means = np.stack([np.where(red_row, n, o),
+                      np.where(green, of_own, F(0.5) * (b + c)),
+                      np.where(red_row, o, n)])
+    cells = np.array([
+        [part[::2, ::2] for part in parts],
+        [F(0.5) * part[::2, 1::2] + F(0.5) * part[1::2, ::2] for part in parts],
+        [part[1::2, 1::2] for part in parts]])
+
+    def window(image, axis):
+        pad = [(0, 0)] * image.ndim
+        pad[axis] = (3, 3)
+        a, b, c, d, e, f, g = (
+            np.take(np.pad(image, pad, "edge"), np.arange(image.shape[axis]) + k, axis)
+            for k in range(7))
+        return ((a + g) + F(2) * (b + f)) + (F(3) * (c + e) + F(4) * d)
+
+    return means, light / of_own, window(window(cells, 2), 3) / F(256)
+
+
+def colour_tints(grey, means):
+    lights = np.stack([means[0] * grey[0], means[1] * (F(0.5) * (grey[1] + grey[2])),
+                       means[2] * grey[3]])
+    lights = np.maximum(lights, F(0))
+    level = F(1) / np.maximum((lights[0] + (lights[1] + lights[2])) / F(3), F(1e-20))
+    return np.maximum(lights * level, F(0.02))
+
+
+def factors(tints, parts):
+    """What each colour is in parts of grey at the places of a cell: (3, 4, 4h, 4w)."""
+    def twice(image, axis, first, second):
+        """The image with two rows for one, functions of rows before, here, behind."""
+        here = np.moveaxis(image, axis, 0)
+        three = np.concatenate([here[:1], here[:-1]]), here, np.concatenate(
+            [here[1:], here[-1:]])
+        out = np.stack([first(*three), second(*three)], 1)
+        out = out.reshape(-1, *here.shape[1:])
+        if axis == 2:   # at the ends of a row there is nothing beside
+            out[0], out[-1] = here[0], here[-1]
+        return np.moveaxis(out, 0, axis)
+
+    def of_cells(image, share, axis):
+        before, behind = F(share), F(0.5 - share)
+        return twice(image, axis, lambda a, b, c: (F(1) - before) * b + before * a,
+                     lambda a, b, c: (F(1) - behind) * b + behind * c)
+
+    def of_blocks(image, axis):
+        return twice(image, axis, lambda a, b, c: F(0.75) * b + F(0.25) * a,
+                     lambda a, b, c: F(0.75) * b + F(0.25) * c)
+
+    out = []
+    for c, (tint, part) in enumerate(zip(tints, parts, strict=True)):
+        x, y, d = of_cells(of_cells(part, 0.25 * c, 1), 0.25 * c, 2)
+        blocks = tint * np.maximum([(1 + x) + (y + d), (1 - x) + (y - d),
+                                    (1 + x) - (y + d), (1 - x) - (y - d)], F(0.02))
+        out.append(of_blocks(of_blocks(blocks, 2), 1))
+    return np.stack(out)
+
+
+def grey_mosaic(mosaic, tints, parts):
+    y, x = np.indices(mosaic.shape)
+    colour = np.array([[0, 1], [1, 2]])[y // 2 % 2, x // 2 % 2]
+    return mosaic.astype(F) / factors(tints, parts)[colour, 2 * (y % 2) + x % 2, y, x]
+
+
+def colour_planes(quad, places, tints, parts):
+    return quad * factors(tints, parts)[:, places]

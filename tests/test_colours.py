@@ -11,7 +11,8 @@ from images import DTYPES
 
 import pdavis_cv
 from pdavis_cv import Layout, LayoutError, LayoutWarning, _kernels, fuse, render
-from pdavis_cv.colour_mosaic import COLOURS, colour_mosaics
+from pdavis_cv.colour_mosaic import COLOUR_REACH, COLOURS
+from pdavis_cv.mosaic import REACH, scratch_rows
 from pdavis_cv.polarimetry import adopted_colours
 from pdavis_cv.recording.images.checks import found_colours
 from pdavis_cv.simulation import Camera, Coloured, FunctionScene
@@ -45,48 +46,91 @@ def scene(shape, gains=GAINS, aop_deg=30, dolp=0.5):
                            (3, 4, *shape))
 
 
-@pytest.mark.parametrize("shape", [(4, 4), (5, 7), (13, 18)])
-@pytest.mark.parametrize(("taps", "step"), [
-    ([1, 2, 1], 2), ([1, 3, 6, 9, 10, 9, 6, 3, 1], 1),
-    ([1, 3, 6, 9, 10, 9, 6, 3, 1], 2)])
-def test_the_kernel_of_means_equals_its_twin(shape, taps, step):
-    rng = np.random.default_rng(1)
-    image, guide = rng.uniform(1, 100, (2, *shape)).astype(np.float32)
-    guide[rng.random(shape) < 0.2] = 0
-    taps, cell = np.array(taps, np.float32), filters(COLOUR.crop(1, 2), (4, 4))[0]
-    out = np.empty((3, *shape), np.float32)
-    spare = np.empty(26 * (shape[1] + (len(taps) - 1) * step), np.float32)
-    _kernels.colour_means(image, guide, cell.astype(np.uint8), taps, step, spare, out)
-    np.testing.assert_array_equal(
-        out, reference.colour_means(image, guide, cell, taps, step))
+def noise(shape, dtype=np.float32):
+    """Samples of light with detail, dark places and noise, some below 0 if they can."""
+    rng = np.random.default_rng(shape)
+    image = rng.uniform(0, 9, shape) * rng.uniform(0, 20, shape[0])[:, None]
+    return (image - (dtype == np.float32)).astype(dtype)
 
 
-def test_the_kernel_of_means_makes_those_of_all_pixels_and_of_usable_ones():
-    image = np.random.default_rng(2).uniform(0, 9, (9, 14)).astype(np.float32)
-    usable, out = np.ones_like(image), np.empty((1, 9, 14), np.float32)
-    taps, spare = np.array([1, 2, 2, 2, 1], np.float32), np.empty(999, np.float32)
-    cell = np.zeros((4, 4), np.uint8)
-    for dark in (None, (4, 7)):
-        if dark:
-            usable[dark] = 0
-        _kernels.colour_means(image, usable, cell, taps, 1, spare, out)
-        window = np.s_[2:7, 5:10]
-        weights = np.outer(taps, taps) * usable[window]
-        assert out[0, 4, 7] == pytest.approx(
-            np.average(image[window], weights=weights), rel=1e-5)
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("shape", [(4, 4), (5, 7), (6, 4), (13, 18), (8, 41)])
+def test_the_kernel_of_bilinear_colours_equals_its_twin(shape, dtype):
+    for layout in (COLOUR, COLOUR.crop(1, 2), COLOUR.crop(2, 3), COLOUR.flip_x()):
+        mosaic, cell = noise(shape, dtype), filters(layout, (4, 4))[0]
+        out = np.full((3, *shape), np.nan, np.float32)
+        _kernels.colour_bilinears(
+            mosaic, cell.astype(np.uint8), scratch_rows(2, shape[1]), out)
+        np.testing.assert_array_equal(out, reference.bilinear_planes(mosaic, cell))
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("shape", [(4, 4), (8, 4), (4, 20), (24, 44)])
+def test_the_kernels_of_guided_colours_equal_their_twins(shape, dtype):
+    mosaic, (h, w), spare = noise(shape, dtype), shape, scratch_rows(55, shape[1])
+    tints, blocks, parts, grey, out = (
+        np.full(size, np.nan, np.float32) for size in (
+            (3, h // 2, w // 2), (h // 2, w // 2), (2, 3, 3, h // 4, w // 4), shape,
+            (3, 4, h, w)))
+    _kernels.colour_ratios(mosaic, spare, tints, blocks, parts)
+    parts, _ = parts
+    for got, expected in zip(
+            (tints, blocks, parts), reference.colour_ratios(mosaic), strict=True):
+        np.testing.assert_array_equal(got, expected)
+    lights = pdavis_cv.demosaic(blocks, Layout((0, 45), (90, 135)), "guided")
+    expected = reference.colour_tints(lights, tints)
+    _kernels.colour_tints(lights, tints)
+    np.testing.assert_array_equal(tints, expected)
+    _kernels.grey_mosaic(mosaic, tints, parts, spare, grey)
+    np.testing.assert_array_equal(grey, reference.grey_mosaic(mosaic, tints, parts))
+    out[1] = pdavis_cv.demosaic(grey, "sony", "guided")
+    expected = reference.colour_planes(out[1].copy(), COLOUR.places, tints, parts)
+    _kernels.colour_planes(np.array(COLOUR.places), tints, parts, spare, out)
+    np.testing.assert_array_equal(out, expected)
+    np.testing.assert_array_equal(out, pdavis_cv.demosaic(mosaic, COLOUR, "guided"))
+
+
+def test_single_bright_pixels_stay_within_what_their_colour_can_be():
+    """A tint is at most 3 and at least .02, a polarized part at least .02."""
+    rng = np.random.default_rng(6)
+    mosaic = np.where(rng.random((40, 44)) < 0.1, 65535, 3).astype(np.uint16)
+    got = pdavis_cv.demosaic(mosaic, COLOUR, "guided")
+    assert np.abs(got).max() < 65535 * 3 / 0.02**2
+    tints = np.ones((3, 4, 4), np.float32)
+    _kernels.colour_tints(rng.normal(0, 9, (4, 4, 4)).astype(np.float32), tints)
+    assert 0.02 <= tints.min() < tints.max() <= 3 * (1 + 1e-6)
 
 
 def test_kernels_refuse_arrays_that_do_not_fit():
     f = partial(np.zeros, dtype=np.float32)
-    with pytest.raises(ValueError, match=r"sides >= 4"):
-        _kernels.colour_means(f((3, 4)), f((3, 4)), np.zeros((4, 4), np.uint8), f(3), 1,
-                              f(999), f((3, 3, 4)))
-    with pytest.raises(ValueError, match=r"out \(3 or less, h, w\)"):
-        _kernels.colour_means(f((4, 4)), f((4, 4)), np.zeros((4, 4), np.uint8), f(3), 1,
-                              f(999), f((4, 4, 4)))
-    with pytest.raises(ValueError, match="taps odd"):
-        _kernels.colour_means(f((4, 4)), f((4, 4)), np.zeros((4, 4), np.uint8), f(2), 1,
-                              f(999), f((3, 4, 4)))
+    places, cell = np.arange(4), np.zeros((4, 4), np.uint8)
+    mosaic, tints, two = f((8, 8)), f((3, 4, 4)), f((2, 3, 3, 2, 2))
+    parts = two[0]
+    for match, wrong in (
+            ("sides >= 4, out", lambda: _kernels.colour_bilinears(
+                mosaic[:3], cell, f(9999), f((3, 3, 8)))),
+            ("cell must be", lambda: _kernels.colour_bilinears(
+                mosaic, cell[:3], f(9999), f((3, 8, 8)))),
+            ("images must be", lambda: _kernels.colour_ratios(
+                mosaic, f(9999), tints[:2], f((4, 4)), two)),
+            ("images must be", lambda: _kernels.colour_ratios(
+                mosaic, f(99), tints, f((4, 4)), two)),
+            ("must be two", lambda: _kernels.colour_ratios(
+                mosaic, f(9999), tints, f((4, 4)), two[:1])),
+            ("size of means", lambda: _kernels.colour_ratios(
+                mosaic, f(9999), tints, f((4, 3)), two)),
+            (r"means \(3, h, w\)", lambda: _kernels.colour_tints(
+                f((4, 4, 3)), tints)),
+            ("images must be", lambda: _kernels.grey_mosaic(
+                mosaic, tints, parts[:, :, :1].copy(), f(9999), mosaic)),
+            ("size of mosaic", lambda: _kernels.grey_mosaic(
+                mosaic, tints, parts, f(9999), mosaic[:4])),
+            (r"out must be \(3, 4", lambda: _kernels.colour_planes(
+                places, tints, parts, f(9999), f((3, 3, 8, 8)))),
+            ("permutation", lambda: _kernels.colour_planes(
+                2 * places, tints, parts, f(9999), f((3, 4, 8, 8))))):
+        with pytest.raises(ValueError, match=match):
+            wrong()
 
 
 # ---- layouts ---------------------------------------------------------------------
@@ -158,29 +202,46 @@ def test_every_colour_has_its_own_polarization(method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_mirrors_and_turns_of_the_mosaic_turn_the_result(method):
-    y, x = np.mgrid[:24, :28]
+    """Up to what borders, where the cells of guided end elsewhere, make of it."""
+    reach = COLOUR_REACH[method] + REACH[method]
+    y, x = np.mgrid[:2 * reach + 12, :2 * reach + 16]
     light = (1 + 0.3 * np.sin(x / 3 + y / 5)) * (1 + 0.2 * np.cos(y / 4))
     mosaic = seen(scene(light.shape) * light, COLOUR)
+    inside = np.s_[:] if method == "bilinear" else np.s_[reach:-reach, reach:-reach]
     whole = pdavis_cv.polarization(mosaic, COLOUR, method)
     for move, layout, turn in (
-            (np.fliplr, COLOUR.flip_x(28), -1), (np.flipud, COLOUR.flip_y(24), -1),
-            (partial(np.rot90, k=2), COLOUR.rot90(2, (24, 28)), 1)):
+            (np.fliplr, COLOUR.flip_x(light.shape[1]), -1),
+            (np.flipud, COLOUR.flip_y(light.shape[0]), -1),
+            (partial(np.rot90, k=2), COLOUR.rot90(2, light.shape), 1)):
         image = pdavis_cv.polarization(
             np.ascontiguousarray(move(mosaic)), layout, method)
         for name in COLOURS:
             one, other = image.colours[name], whole.colours[name]
-            np.testing.assert_allclose(one.s0, move(other.s0), rtol=1e-4)
             np.testing.assert_allclose(
-                np.exp(2j * one.aop), np.exp(2j * turn * move(other.aop)), atol=1e-3)
+                one.s0[inside], move(other.s0)[inside], rtol=1e-4)
+            np.testing.assert_allclose(
+                np.exp(2j * one.aop)[inside],
+                np.exp(2j * turn * move(other.aop))[inside], atol=1e-3)
+
+
+def test_bilinear_keeps_own_samples_of_colour_and_polarizer():
+    mosaic = np.random.default_rng(3).uniform(50, 60, (12, 16)).astype(np.float32)
+    y, x = np.indices(mosaic.shape)
+    got = pdavis_cv.demosaic(mosaic, COLOUR)[(*filters(COLOUR, mosaic.shape), y, x)]
+    np.testing.assert_array_equal(got, mosaic)
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_own_samples_are_kept(method):
-    mosaic = np.random.default_rng(3).uniform(50, 60, (12, 16)).astype(np.float32)
-    planes = colour_mosaics(mosaic, COLOUR, method)
-    colour, _ = filters(COLOUR, mosaic.shape)
-    y, x = np.indices(mosaic.shape)
-    np.testing.assert_allclose(planes[colour, y, x], mosaic, rtol=1e-6)
+def test_nothing_beyond_the_reach_matters(method):
+    reach = COLOUR_REACH[method] + REACH[method]
+    mosaic = noise((8, 4 * reach)) + 20
+    for column in range(2 * reach, 2 * reach + 4):
+        changed = mosaic.copy()
+        changed[:, column] *= 3
+        differs = (pdavis_cv.demosaic(mosaic, COLOUR, method)
+                   != pdavis_cv.demosaic(changed, COLOUR, method)).any((0, 1, 2))
+        affected = np.nonzero(differs)[0]
+        assert column - reach <= affected[0] < affected[-1] <= column + reach
 
 
 @pytest.mark.parametrize("method", METHODS)
