@@ -1,8 +1,8 @@
 """The public names of a package, whose errors name the argument of another type.
 
 Functions and methods take what behaves as their annotations say.  If a call fails
-inside and an argument is of another type, that is said instead.  A call that succeeds
-takes a microsecond longer.
+inside and an argument is of another type, that is said instead; arrays that do not fit
+are named with their shapes.  A call that succeeds takes a microsecond longer.
 """
 from __future__ import annotations
 
@@ -83,11 +83,16 @@ def _explaining(function: Any, arguments: Any, named: Any) -> Iterator[None]:
         except TypeError:       # it lacks an argument
             raise error from None
         told = isinstance(error, TypeError | ValueError) and any(
-            re.search(rf"\b{name}\b", str(error)) for name in given)
+            re.search(rf"(?<!')\b{name}\b", str(error)) for name in given)
         for name, value in given.items():
             if not told and not _is_taken(function, name, value):
                 raise TypeError(f"{name} must be {_wanted(function, name)}, got "
                                 f"{type(value).__name__}") from error
+        # So do NumPy and kernels speak of arrays.
+        if not told and re.search("broadcast|^Buffer|contiguous|too large", str(error)):
+            shapes = (f"{name} {getattr(value, 'shape', type(value).__name__)}"
+                      for name, value in given.items() if name != "self")
+            raise ValueError(f"{', '.join(shapes)}: {error}") from error
         raise
 
 

@@ -137,3 +137,25 @@ def test_errors_of_methods_say_which_argument_is_wrong(of, name, wrong, said):
                boundaries.SIZE, theta_on=.2, theta_off=.2)}[of]()
     with pytest.raises(TypeError, match=rf"^{said} must be .*, got "):
         getattr(one, name)(*([wrong, 1] if name == "crop" else [wrong]))
+
+
+def test_errors_of_methods_name_arrays_that_do_not_fit():
+    method = pdavis_cv.ComplementaryFilter((4, 6), theta_on=.2, theta_off=.2)
+    kalman = pdavis_cv.KalmanFilter((4, 6), theta_on=.2, theta_off=.2)
+    fan = simulation.Fan(rpm=10)
+    for call, said in (
+            (lambda: fan.stokes(np.zeros(3), np.zeros((3, 4)), [0]),
+             r"t_us \(3,\), x \(3, 4\), y list: shape mismatch"),
+            (lambda: method.intensity(np.zeros(3, "f4")), r"log_intensity \(3,\): B"),
+            (lambda: method.intensity(np.zeros((4, 6))), r"log_intensity \(4, 6\): B"),
+            (lambda: method.intensity(np.zeros((4, 6), "f4")[:, ::2]),
+             "log_intensity .*contiguous"),
+            (lambda: kalman.settle(2**70), "t_us int: Python int too large")):
+        with pytest.raises(ValueError, match=f"^{said}"):
+            call()
+    with pytest.raises(TypeError, match=r"^t_us must be ArrayLike, got str"):
+        fan.stokes("x", 0, 0)
+    with pytest.raises(TypeError, match=r"^snapshot must be a FusionSnapshot, got int"):
+        pdavis_cv.fuse(pdavis_cv.recording_from_arrays(
+            boundaries.some_events(), layout=boundaries.LAYOUT,
+            sensor_size=boundaries.SIZE)).restore(3)

@@ -462,7 +462,7 @@ class VideoCapture(Advises):
         with self._lock:
             try:
                 self._exceptions = bool(enable + 0)
-            except TypeError:
+            except (TypeError, ValueError):
                 raise TypeError(
                     "Argument 'enable' is not convertable to bool") from None
             if self._foreign is not None:
@@ -509,7 +509,10 @@ class VideoCapture(Advises):
         streams: Sequence[Any], timeoutNs: int = 0
     ) -> tuple[bool, Sequence[int]]:
         """Raise the error of cv2, which can wait only for V4L cameras."""
-        if not len(streams):
+        if not (streams is None or hasattr(streams, "__len__")):
+            raise TypeError("Can't parse 'streams'. Input argument doesn't provide "
+                            "sequence protocol")
+        if streams is None or not len(streams):
             raise_like_cv2("waitAny", "!streams.empty()", -215)
         raise_like_cv2(
             "waitAny", "VideoCapture::waitAny() is supported by V4L backend only", -213)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import pdavis_cv
 from pdavis_cv._advice import Advises
+from pdavis_cv._checks import typed
 from pdavis_cv._options import changed
 from pdavis_cv._types import Events, Facts, Parameters
 from pdavis_cv._workers import Begun, Workers
@@ -298,6 +299,7 @@ class Fusion(Advises):
             If the snapshot belongs to another method, shape or parameters, or the
             source can be read only once.
         """
+        typed("snapshot", snapshot, FusionSnapshot, "a FusionSnapshot")
         self.rewind()
         self._grid_start = snapshot.start_us
         if snapshot.state is None or snapshot.t_us is None:

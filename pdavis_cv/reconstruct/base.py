@@ -287,7 +287,7 @@ class Reconstructor(ABC):
         out = np.empty_like(log_intensity)
         self.workers.rows(len(out), lambda first, last: _kernels.exp(
             log_intensity[first:last], out[first:last]),
-            row_ns=_EXP_NS * out.shape[1])
+            row_ns=_EXP_NS * out.shape[-1])
         return out
 
     def snapshot(self) -> Snapshot:

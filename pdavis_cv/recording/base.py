@@ -103,7 +103,7 @@ class ApsFrame(Advises):
         self.exposure_start_us = self._times("exposure_start_us", exposure_start_us)
         self.exposure_end_us = self._times("exposure_end_us", exposure_end_us)
         start, end = self.exposure_start_us, self.exposure_end_us
-        if np.any(end < start):
+        if np.count_nonzero(end < start):       # `any` of one bool takes 2 us
             raise ValueError(
                 "exposure_end_us must not be before exposure_start_us, got "
                 f"{self.exposure_start_us} .. {self.exposure_end_us}")
