@@ -133,9 +133,10 @@ cdef inline Py_ssize_t single_events(
         ) noexcept nogil:
     """Decode what usually is there: a time or none, a row or none, and an event.
 
-    Returns the index of the first word that is not, below n.  Which of them there are
-    cannot be predicted, so they are selected by masks, without branches; both are told
-    from the same two words, as others would have to be waited for.
+    Returns the index of the first word that is not, below n, such as a row outside.
+    Which of them there are cannot be predicted, so they are selected by masks, without
+    branches; both are told from the same two words, as others would have to be waited
+    for.
     """
     cdef int64_t high = at[LOOPS] + (at[HIGH] << 12), time = at[TIME], row = at[ROW]
     cdef int64_t x, timed, rowed, last = s[LAST]
@@ -143,7 +144,8 @@ cdef inline Py_ssize_t single_events(
     cdef Py_ssize_t k = s[FILLED]
     while i + 3 < n and k <= room:
         timed = words[i] >> 12 == 6
-        rowed = (words[i] >> 12 == 0) | (words[i + 1] >> 12 == 0) & timed
+        rowed = ((words[i] & 0xF7FF) < height) | (
+            (words[i + 1] & 0xF7FF) < height) & timed
         time += (high + (words[i] & 0xFFF) - time) & -timed
         row += ((words[i + timed] & 0x7FF) - row) & -rowed
         i += timed + rowed
@@ -192,6 +194,7 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
     for k in range(WORD_STATE):
         at[k] = stream[k]
     at[TRIGGERS] = 0
+    height = min(height, 0x800)     # rows are below
     with nogil:
         while i < n and s[FILLED] <= room:
             if at[HIGH] >= 0:
@@ -220,6 +223,8 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
                     at[TIME] = at[LOOPS] + (at[HIGH] << 12 | (word & 0xFFF))
             elif kind == 0:
                 at[ROW] = word & 0x7FF
+                if at[ROW] >= height:   # without an event, which would say it
+                    at[UNTIMED] += i + 1 < n and is_in(words[i + 1], 0b10101000001)
             elif kind == 8:
                 after = after_wrong_time(&words[0], i, n, at[HIGH])
                 if after:

@@ -119,6 +119,23 @@ def test_words_of_evt3_are_decoded_alike_one_by_one_and_in_runs():
     assert got[0][2][0] > 500
 
 
+@pytest.mark.parametrize(("rows", "said"), [
+    ([25], {"untimed": 1}), ([0x7FF], {"untimed": 1}), ([7, 25, 30, 7], {"untimed": 2}),
+    ([7, 0x807], {}), ([], {})])
+@pytest.mark.parametrize("before", [[], [2 << 12 | 9], [3 << 12 | 9, 5 << 12 | 1]])
+@pytest.mark.parametrize("after", [6 << 12 | 60, 8 << 12 | 1, 10 << 12])
+def test_a_row_of_evt3_outside_the_sensor_without_an_event_is_said(
+        tmp_path, rows, said, before, after):
+    words = np.array([8 << 12, 6 << 12 | 50, 5, *before, *rows, after, 6 << 12 | 70,
+                      25, 2 << 12 | 3, 5, *[2 << 12 | 3] * 9], "<u2")
+    (tmp_path / "x.raw").write_bytes(
+        b"% evt 3.0\n% geometry 30x20\n% end\n" + words.tobytes())
+    with open_recording(tmp_path / "x.raw") as recording:
+        assert len(recording.events()) == 9 + bool(before)
+        assert {p.kind: p.count for p in recording.problems} == {
+            "outside sensor": 1, **said}
+
+
 @pytest.mark.parametrize(("make", "loop"), [(evt2_file, 1 << 34), (evt3_file, 1 << 24)])
 def test_time_goes_on_where_its_counter_begins_anew(tmp_path, make, loop):
     events = some_events(1000, step=4)
@@ -158,7 +175,7 @@ def test_words_equal_their_twin(version):
     times[19::20] -= 9
     words[7::50] = (8 << bits | times).astype(words.dtype)
     pieces = np.array_split(words, 7)
-    for size in (SIZE, (12, 16)):
+    for size in (SIZE, (12, 16), (65_536, 65_536)):
         stream, state = WordStream(version, size, channel=6), np.zeros(7, np.int64)
         got, triggers = [], []
         for piece in pieces:
