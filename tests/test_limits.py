@@ -172,6 +172,44 @@ def of_bag(path, compression=b"bz2"):
         number(0) + number(1)))
 
 
+def of_mcap(path, repeated=False):
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    events = np.zeros(9, pdavis_cv.EVENT_DTYPE)
+    write_rosbag(path, pdavis_cv.recording_from_arrays(events, sensor_size=(4, 4)))
+
+    def record(kind, *parts):
+        return bytes([kind]) + struct.pack("<Q", len(b"".join(parts))) + b"".join(parts)
+
+    data = path.read_bytes()
+    at, = struct.unpack("<Q", data[-28:-20])
+    raw = record(0x99, bytes(15 << 20))
+    packed = rosbag2.storage_mcap.zstd.compress(raw)
+    times, kind = struct.pack("<QQ", 0, 1 << 62), struct.pack("<I4s", 4, b"zstd")
+    sizes = struct.pack("<QQ", len(packed), len(raw))
+    chunk = record(6, times, sizes[8:], bytes(4), kind, sizes[:8], packed)
+    index = b"".join(record(
+        8, times, struct.pack("<QQIHQQ", at + k * len(chunk) * (not repeated),
+                              len(chunk), 10, 1, 0, 0), kind, sizes)
+        for k in range(200))
+    chunks = chunk * (1 if repeated else 200)
+    path.write_bytes(data[:at] + chunks + index + data[at:-28] + struct.pack(
+        "<Q", at + len(chunks)) + data[-20:])
+
+
+def of_two_chunks(path):        # which are unpacked in turns
+    rosbag1 = pytest.importorskip("rosbags.rosbag1")
+    bag = rosbag1.Writer(path)
+    bag.set_compression(rosbag1.Writer.CompressionFormat.BZ2)
+    with bag:
+        topic = bag.add_connection(
+            "/e", "dvs_msgs/msg/EventArray", msgdef="x", md5sum="0" * 32)
+        for first in (0, 1):
+            for k in range(2000):
+                bag.write(topic, 2 * k + first, np.array(
+                    [0, 0, 0, 0, 4, 4, 0], "<u4").tobytes())
+            bag.write(topic, 10**6 + first, bytes(14 << 20))
+
+
 def of_expression(path):
     pytest.importorskip("rosbags")
     events = np.zeros(9, pdavis_cv.EVENT_DTYPE)
@@ -201,6 +239,9 @@ BOMBS = {"zstd.aedat4": (of_zstd, "ratio"), "lz4.aedat4": (of_small_packets, "me
          "sun.png": (of_another_kind, "of no kind that is read"),
          "header.npz": (of_header, "a header of 4294967295 bytes"),
          "columns.npz": (of_columns, "ratio"), "bz2.bag": (of_bag, "ratio"),
+         "at_once.mcap": (of_mcap, "memory"), "turns.bag": (of_two_chunks, "ratio"),
+         "again.mcap": (lambda path: of_mcap(path, True),
+                        "index names more bytes than there are"),
          "expression.db3": (of_expression, "string or blob too big"),
          "lz4.bag": (lambda path: of_bag(path, b"lz4"), "memory"),
          "chunk.h5": (of_hdf5, "memory")}
@@ -223,7 +264,7 @@ except pdavis_cv.RecordingError as error:
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="Linux tells it")
 @pytest.mark.parametrize("name", [
     name if name in ("zstd.aedat4", "chunk.png", "strip.tiff", "chunk.h5", "sun.png",
-                     "scans.jpg", "expression.db3") else
+                     "scans.jpg", "expression.db3", "again.mcap") else
     pytest.param(name, marks=pytest.mark.gate) for name in BOMBS])  # long to make
 def test_a_bomb_is_refused_and_takes_no_memory(name, tmp_path):
     build, said = BOMBS[name]

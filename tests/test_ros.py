@@ -1,4 +1,5 @@
 """ROS 1 and ROS 2 bags; messages are written by the library rosbags, not by us."""
+import os
 import pickle
 import warnings
 
@@ -9,6 +10,7 @@ from test_aedat4 import joined
 
 import pdavis_cv
 from pdavis_cv import EVENT_DTYPE, RecordingError, open_recording
+from pdavis_cv.recording.bag_writer import write_rosbag
 
 pytest.importorskip("rosbags")
 from rosbags import rosbag1, rosbag2
@@ -431,3 +433,20 @@ def test_a_damaged_message_costs_itself_only(tmp_path, damage):
             assert recording.info.sensor_size == (260, 346)
             np.testing.assert_array_equal(recording.events(), events[left])
             assert damage == "size" or recording.problems
+
+
+@pytest.mark.parametrize("what", ["merge keys", "a pipe"])
+def test_a_folder_that_would_never_be_read_is_refused(tmp_path, what):
+    recording = pdavis_cv.recording_from_arrays(some_events(), sensor_size=(12, 16))
+    write_rosbag(tmp_path / "bag", recording)
+    about, = (tmp_path / "bag").glob("*.yaml")
+    if what == "a pipe":
+        stored, = (tmp_path / "bag").glob("*.mcap")
+        stored.unlink()
+        os.mkfifo(stored)
+    else:       # each line doubles what it holds
+        about.write_text(about.read_text() + "a0: &a0 {x: 1}\n" + "".join(
+            f"a{k + 1}: &a{k + 1}\n  <<: [*a{k}, *a{k}]\n" for k in range(60)))
+    with pytest.raises(RecordingError, match=(
+            "mcap: neither a file nor a folder" if what == "a pipe" else "merge")):
+        open_recording(tmp_path / "bag")

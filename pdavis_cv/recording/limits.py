@@ -59,7 +59,7 @@ class Budget:
     def __init__(self, path: Any, limits: Limits | None = None) -> None:
         self._path, self.limits = path, limits or Limits()
         self._half = self.limits.memory // 2    # what is read is copied once
-        self._first = 1 << 62
+        self._first, self._taken = 1 << 62, 0
 
     @functools.cached_property
     def size(self) -> int:
@@ -106,6 +106,11 @@ class Budget:
         free = self._half
         if size > free and size > self.limits.ratio * self.size + free:
             raise self.over("ratio", f"samples of {size} bytes from {self.size}")
+
+    def take(self, size: int) -> None:
+        """Add to what a reading gives, which `total` bounds."""
+        self._taken += size
+        self.total(self._taken)
 
     def waiting(self, size: int) -> None:
         """Raise RecordingError if too much waits for samples of another stream."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import bz2
 import functools
+import itertools
 import struct
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -52,6 +53,8 @@ SIZES = 9
 """Number of messages whose most frequent size is taken as that of the sensor."""
 _LEAST = 1 << 20
 """Bytes of a text that any database may make: a statement, a message in it."""
+_MESSAGE = 1 << 10
+"""Bytes that reading a message is worth beside its own: a bag needs 40 to store one."""
 _BUDGET: ContextVar[Budget | None] = ContextVar("budget", default=None)
 """Of the bag that rosbags reads just now."""
 EVENT_ARRAYS = frozenset(f"{package}/msg/EventArray" for package in (
@@ -91,19 +94,23 @@ def rosbags() -> tuple[Any, Any]:
 def _bound_decompressors() -> None:
     """Let the decompressors of rosbags draw on the budget of the bag that is read."""
     from rosbags.rosbag1 import reader as of_ros1
-    from rosbags.rosbag2 import reader, storage_mcap, storage_sqlite3
+    from rosbags.rosbag2 import metadata, reader, storage_mcap, storage_sqlite3
 
     of_ros2, of_sqlite = cast(Any, reader), cast(Any, storage_sqlite3)
 
-    def bound(plain: Callable[..., bytes], kind: Callable[[], Any]) -> Any:
+    def bound(plain: Callable[..., bytes], kind: Callable[[], Any] | None) -> Any:
         def unpack(data: bytes, *size: int) -> bytes:
             budget = _BUDGET.get()
-            return plain(data, *size) if budget is None else budget.unpacked(
-                kind(), data, "a chunk or message")
+            found = plain(data, *size) if budget is None or kind is None else (
+                budget.unpacked(kind(), data, "a chunk or message"))
+            if budget is not None:
+                budget.take(len(found))
+            return found
         return unpack
 
     zstd = of_ros2.zstd
     for table, name, kind in (
+            (of_ros1.decompressors, "none", None),
             (of_ros1.decompressors, "bz2", bz2.BZ2Decompressor),
             (of_ros1.decompressors, "lz4", lz4.frame.LZ4FrameDecompressor),
             (storage_mcap.DECOMPRESSORS, "lz4", lz4.frame.LZ4FrameDecompressor),
@@ -118,8 +125,41 @@ def _bound_decompressors() -> None:
             return found
 
         of_sqlite.apsw = SimpleNamespace(**vars(apsw) | {"Connection": connect})
+    yaml = of_ros2.YAML
+
+    def without_merging(**options: Any) -> Any:
+        # Merge keys ("<<") can double what each line makes; no bag has them.
+        made = yaml(**options)
+        made.Constructor = type(
+            "Plain", (made.Constructor,), {"flatten_mapping": lambda *_: None})
+        return made
+
+    of_ros2.YAML = cast(Any, metadata).YAML = without_merging
     of_ros2.zstd = SimpleNamespace(
         open=zstd.open, decompress=bound(zstd.decompress, zstd.ZstdDecompressor))
+
+
+def _drawn(bag: Any, connections: Any) -> Generator[tuple[Any, bytes], None, None]:
+    """Yield connection and data of the messages in an open bag, drawing on its budget.
+
+    An index of MCAP may name chunks again and again, or many for the same time, which
+    rosbags keeps until their time has passed.
+    """
+    budget, storage = _BUDGET.get(), getattr(bag, "storage", None)
+    assert budget is not None
+    for one in getattr(storage, "storages", [storage]):
+        chunks = getattr(one, "chunks", ())
+        if sum(chunk.compressed_size for chunk in chunks) > budget.size:
+            raise ValueError("its index names more bytes than there are")
+        budget.waiting(max(itertools.accumulate(size for *_, size in sorted(
+            step for chunk in chunks for step in (
+                (chunk.message_start_time, 0, chunk.uncompressed_size),
+                (chunk.message_end_time, 1, -chunk.uncompressed_size)))), default=0))
+    # An open query would keep a database from being closed.
+    with closing(bag.messages(connections)) as messages:
+        for connection, _, data in messages:
+            budget.take(len(data) + _MESSAGE)
+            yield connection, data
 
 
 class _Message:
@@ -206,7 +246,7 @@ class RosRecording(PiecewiseRecording):
         self._cdr = self._is_ros2()
         self._kind: Any = (rosbag2 if self._cdr else rosbag1).Reader
         try:
-            with self._drawing(), self._kind(self._path) as bag:
+            with self._drawing(self._budget), self._kind(self._path) as bag:
                 self._encodings = self._found_encodings(bag, options.camera)
                 copied = self._first_text(bag)
                 self._topics = self._choose(
@@ -245,6 +285,9 @@ class RosRecording(PiecewiseRecording):
         If its name does not end as rosbags needs it, that is an error.
         """
         if self._path.is_dir():
+            for one in self._path.iterdir():
+                if one.exists() and not (one.is_file() or one.is_dir()):
+                    raise RecordingError(f"{one}: neither a file nor a folder")
             return True
         with self._path.open("rb") as file:
             start = file.read(16)
@@ -262,8 +305,8 @@ class RosRecording(PiecewiseRecording):
             if one.msgtype not in EVENT_PACKETS or (
                     camera is not None and camera not in one.topic):
                 continue
-            with closing(bag.messages([one])) as messages:
-                for _, _, data in messages:
+            with closing(_drawn(bag, [one])) as messages:
+                for _, data in messages:
                     with suppress(ValueError, struct.error):
                         packet = _Packet(_Message(data, self._cdr))
                         if packet.big or packet.encoding not in _READ:
@@ -290,8 +333,8 @@ class RosRecording(PiecewiseRecording):
         """Return what the bag says of its source, if this library wrote it."""
         for one in bag.connections:
             if one.topic.endswith(f"/{COPIED}") and one.msgtype == TEXT:
-                with closing(bag.messages([one])) as messages:
-                    for _, _, data in messages:
+                with closing(_drawn(bag, [one])) as messages:
+                    for _, data in messages:
                         with suppress(ValueError, struct.error):
                             return _Message(data, self._cdr).text()
         return None
@@ -321,9 +364,8 @@ class RosRecording(PiecewiseRecording):
     def _of(self, bag: Any) -> Generator[tuple[str, str, bytes], None, None]:
         """Yield (topic, type, data) of the chosen topics' messages in an open bag."""
         wanted = [c for c in bag.connections if (c.topic, c.msgtype) in self._topics]
-        # An open query would keep the database from being closed.
-        with closing(bag.messages(wanted)) as messages:
-            for connection, _, data in messages:
+        with closing(_drawn(bag, wanted)) as messages:
+            for connection, data in messages:
                 yield connection.topic, connection.msgtype, data
 
     def _size_of(self, bag: Any) -> tuple[int, int]:
@@ -338,8 +380,8 @@ class RosRecording(PiecewiseRecording):
                       and (c.msgtype == IMAGES) == images]
             if not wanted:
                 continue
-            with closing(bag.messages(wanted)) as messages:
-                for _, _, data in islice(messages, SIZES):
+            with closing(_drawn(bag, wanted)) as messages:
+                for _, data in islice(messages, SIZES):
                     seen = True
                     with suppress(ValueError, struct.error):
                         message = _Message(data, self._cdr)
@@ -409,9 +451,9 @@ class RosRecording(PiecewiseRecording):
             yield batch, (number + 1) / max(self._message_count, number + 1)
 
     @contextmanager
-    def _drawing(self) -> Iterator[None]:
-        """Take what is unpacked in the block from the budget."""
-        token = _BUDGET.set(self._budget)
+    def _drawing(self, budget: Budget) -> Iterator[None]:
+        """Take what is unpacked or read in the block from the budget."""
+        token = _BUDGET.set(budget)
         try:
             yield
         finally:
@@ -422,11 +464,12 @@ class RosRecording(PiecewiseRecording):
 
         The bag is opened anew each time, as the library's readers have one position.
         """
+        budget = Budget(self._path, self._budget.limits)
         with ExitStack() as stack:
             messages: Generator[tuple[str, str, bytes], None, None] | None = None
             while True:
                 try:
-                    with self._drawing():
+                    with self._drawing(budget):
                         if messages is None:
                             messages = stack.enter_context(closing(self._of(
                                 stack.enter_context(self._kind(self._path)))))
