@@ -119,21 +119,15 @@ class LampTracker:
     One wave is fitted for the whole sensor.  Flicker below a threshold triggers no
     events in constant light, but where the light changes it shifts the events in time:
     the middle one of three events of a pixel then deviates from the straight line
-    between the others.  A least-squares fit to these deviations over the last second
+    between the others. A least-squares fit to these deviations over the last second
     gives the wave; its frequency may be 0.6 Hz off the nominal one.  A wave that
     differs between the four polarizers is not attributed to the lamp.  Of a lamp whose
     light is not sinusoidal the first harmonic is found.
-    Events show the lamp behind the photoreceptors' low-pass.  The low-pass is divided
-    out where the bandwidth is known, and taken to be equal in all pixels otherwise.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        (height, width) of the sensor.
-    theta_on, theta_off : array_like
-        Contrast thresholds, natural-log units; their means are used.
-    bandwidth : (float, float), optional
-        (hz, hz_per_intensity) of the photoreceptors, as for `EventRedundancy`.
+    Events show the lamp behind the photoreceptors' low-pass.  The low-pass is divided
+    out where the bandwidth, (hz, hz_per_intensity) as for `EventRedundancy`, is known,
+    and taken to be equal in all pixels otherwise.  The shape is (height, width) of the
+    sensor; of the thresholds, natural-log units, the means are used.
     """
 
     def __init__(

@@ -93,30 +93,17 @@ def make_reconstructor(
     denoise: Parameters | None = None,
     options: Collection[str] = (),
 ) -> Reconstructor:
-    """Make the Reconstructor of a method.
+    """Make the Reconstructor of a method, given by its name or as a `Factory`.
 
-    Parameters
-    ----------
-    method : str or callable
-        One of ``METHODS``, or a `Factory`.
-    shape : (int, int)
-        (height, width).
-    theta_on, theta_off : float or ndarray of float32, shape (H, W)
-        Contrast thresholds in natural-log units, for methods that take them.
-    parameters : mapping of str to object
-        Further parameters of the method.
-    response : ndarray of float64, shape (2, 2, 3) or (H, W, 3), optional
-        Response of the pixels (of the cell) to S0, S1, S2, for methods that take it.
-    denoise : mapping of str to object, optional
-        Parameters of an `EventDenoiser` that the events pass first; default: none.
-    options : collection of str
-        What the caller takes besides; only named where a parameter is unknown.
+    The shape is (height, width).  Contrast thresholds are in natural-log units, float
+    or (H, W), for methods that take them, and so is the response of the pixels to S0,
+    S1, S2, (2, 2, 3) of the cell or (H, W, 3).  `parameters` are further ones of the
+    method; `denoise` are those of an `EventDenoiser` that the events pass first.
+    `options` are what the caller takes besides, only named where a parameter is
+    unknown.
 
-    Raises
-    ------
-    TypeError
-        If the method has no such parameter (the message lists those it has), or what
-        was made is no Reconstructor.
+    A parameter that the method does not have is a TypeError, whose message lists those
+    it has, as is what a Factory makes that is no Reconstructor.
     """
     maker = factory_of(method)
     known = inspect.signature(maker).parameters

@@ -53,29 +53,17 @@ UNIT_DN = 65535
 class ImageRecording(FileRecording):
     """Frames from a video, TIFF files, still images or an array.
 
-    Four planes of each time, I0, I45, I90 and I135, are laid out as a mosaic of twice
-    the size, whose demosaicing by superpixels returns them unchanged.
+    The source is ``clip.mkv``, ``shot.png``, ``shot_%04d.png``, ``shot_*.png``,
+    ``stack.tif``, ``planes.npy``, or several files in their order; names that differ
+    only in 0, 45, 90, 135 are four planes.  Four planes of each time, I0, I45, I90 and
+    I135, are laid out as a mosaic of twice the size, whose demosaicing by superpixels
+    returns them unchanged.
 
-    Parameters
-    ----------
-    source : path or sequence of paths
-        ``clip.mkv``, ``shot.png``, ``shot_%04d.png``, ``shot_*.png``, ``stack.tif``,
-        ``planes.npy``, or several files in their order; names that differ only in 0,
-        45, 90, 135 are four planes.
-    options : SourceOptions
-        Its layout is that of the images after any crop or mirroring; four planes need
-        none.  The full scale is by default that of the file, else measured from clipped
-        samples, else the smaller of 4095 and 65535 that holds all values.
-
-    Raises
-    ------
-    RecordingError
-        If there is no image, or it is not grey.
-
-    Warns
-    -----
-    LayoutWarning
-        If colour filters are found and the layout states none.
+    The layout that options state is that of the images after any crop or mirroring;
+    four planes need none.  The full scale is by default that of the file, else measured
+    from clipped samples, else the smaller of 4095 and 65535 that holds all values.
+    Without an image, or if it is not grey, it is a RecordingError; a LayoutWarning, if
+    colour filters are found and the layout states none.
     """
 
     def __init__(
