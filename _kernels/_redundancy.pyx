@@ -350,10 +350,11 @@ cdef inline void apply_gains(const cells_t* cells, const Py_ssize_t* row,
 
 def redundancy_read(int64_t t, int64_t known, recent not None, model not None,
                     const state_t[:, ::1] states not None, rows not None,
-                    float[:, ::1] log not None):
+                    const uint8_t[:, ::1] wanted not None, float[:, ::1] log not None):
     """Write log intensity at t to rows (first, last), using events up to known >= t.
 
-    recent is (store, pixels), model (numbers of a `PixelModel`, waves).
+    recent is (store, pixels), model (numbers of a `PixelModel`, waves).  Pixels that
+    are not wanted stay as they are.
     """
     cdef const stored_t[::1] store
     cdef const pixel_t[:, ::1] pixels
@@ -368,7 +369,7 @@ def redundancy_read(int64_t t, int64_t known, recent not None, model not None,
     store, pixels = recent
     numbers, waves = model
     if (pixels.shape[0] != h or pixels.shape[1] != w or log.shape[0] != h
-            or log.shape[1] != w):
+            or log.shape[1] != w or wanted.shape[0] != h or wanted.shape[1] != w):
         raise ValueError("redundancy_read: all images must have one shape")
     if store.shape[0] == 0:
         raise ValueError("redundancy_read: store must hold records")
@@ -379,8 +380,9 @@ def redundancy_read(int64_t t, int64_t known, recent not None, model not None,
     with nogil:
         for y in range(first, last):
             for x in range(w):
-                log[y, x] = <float>log_at(t, known, &store[0], c, &lamp, &pixels[y, x],
-                                          &states[y, x], passed)
+                if wanted[y, x]:
+                    log[y, x] = <float>log_at(t, known, &store[0], c, &lamp,
+                                              &pixels[y, x], &states[y, x], passed)
 
 
 def saturated_events(const event_t[::1] events not None,
@@ -466,6 +468,13 @@ def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not 
             top, number = (&bound[0, 0])[pixels[0, i]], 0
             y0 = i // columns * 2
             x0 = i % columns * 2
+            known = False
+            for k in range(4):
+                known |= enough[y0 + k // 2, x0 + k % 2]
+                if missing[k, i]:
+                    (&log[0, 0])[pixels[k, i]] = (&bound[0, 0])[pixels[k, i]]
+            if not known:
+                continue
             for k in range(4):
                 at = pixels[k, i]
                 y = y0 + k // 2
@@ -497,7 +506,6 @@ def saturated_fill(cells not None, seen not None, const float[:, ::1] bound not 
                     if not enough[y, x] or (&variance[0, 0])[at] <= valid_variance:
                         continue
                     known = False
-                if not known:
                     (&log[0, 0])[at] = (&bound[0, 0])[at]
                 if not enough[y, x]:
                     continue

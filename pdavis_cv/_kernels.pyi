@@ -257,7 +257,7 @@ def read_out(
 def redundancy_read(
     t: int, known: int, recent: tuple[NDArray[Any], NDArray[Any]],
     model: tuple[NDArray[Any], NDArray[Any]], states: NDArray[Any],
-    rows: tuple[int, int], log: _F32,
+    rows: tuple[int, int], wanted: _U8, log: _F32,
 ) -> None: ...
 def redundancy_sample(
     t: int, known: int, recent: tuple[NDArray[Any], NDArray[Any], int, int],

@@ -153,7 +153,7 @@ def test_kernels_refuse_arrays_that_do_not_fit():
             ((store.events, store.pixels), states, (0, 5), "lie in the image")):
         with pytest.raises(ValueError, match=f"redundancy_read: .*{message}"):
             _kernels.redundancy_read(0, 0, recent, (NUMBERS, waves), of.copy(), rows,
-                                     out)
+                                     np.ones(shape, np.uint8), out)
 
 
 def test_macropixels_that_are_solved_together_do_not_depend_on_each_other():

@@ -41,7 +41,8 @@ def test_reading_equals_float64_evaluation(seed, n, seconds, bandwidth, wait):
     recent = store.events, store.pixels
     for rows in ((0, 1), (1, 3)):
         _kernels.redundancy_read(t, t + wait, recent, (
-            model.numbers, np.zeros(0, WAVE_DTYPE)), states, rows, out)
+            model.numbers, np.zeros(0, WAVE_DTYPE)), states, rows,
+            np.ones(shape, np.uint8), out)
     for y, x in np.ndindex(shape):
         mine = events[(events["y"] == y) & (events["x"] == x)]
         twin = Pixel(mine["t"], 2 * mine["p"].astype(int) - 1,
@@ -73,7 +74,7 @@ def test_what_is_moved_out_of_the_store_is_not_missed(seed, monkeypatch):
             _kernels.redundancy_read(
                 int(events["t"][cut - 1]) if cut else 0, 10**7,
                 (one.events, one.pixels), (NUMBERS, np.zeros(0, WAVE_DTYPE)), states,
-                (0, 3), out)
+                (0, 3), np.ones(shape, np.uint8), out)
             seen.append(out)
         at = cut
         np.testing.assert_array_equal(*seen)

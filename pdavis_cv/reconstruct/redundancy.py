@@ -148,6 +148,7 @@ class EventRedundancy(Reconstructor):
     """
 
     method = "events"
+    reads_valid = False     # whether pixels that are not valid are left out when read
     needs = Needs(frames=False, lamp=True, learned=frozenset({"ratio_sigma"}))
     causal_parameters = MappingProxyType({"lookahead_us": 0})
 
@@ -354,11 +355,13 @@ class EventRedundancy(Reconstructor):
     def _estimate(self, t: int, log: NDArray[np.float32]) -> Estimate:
         recent = self._store.events, self._store.pixels
         model = self._numbers, self._lamp.waves
-        self.workers.rows(len(log), lambda first, last: _kernels.redundancy_read(
-            t, t + self.lookahead_us, recent, model, self._states, (first, last), log),
-            row_ns=_READ_NS * log.shape[1])
         ratio, smallest = self._solution
-        return Estimate(log, smallest.copy(), ratio < VALID_QUALITY)
+        valid = ratio < VALID_QUALITY
+        wanted = valid if self.reads_valid else np.ones_like(valid)
+        self.workers.rows(len(log), lambda first, last: _kernels.redundancy_read(
+            t, t + self.lookahead_us, recent, model, self._states, (first, last),
+            wanted.view(np.uint8), log), row_ns=_READ_NS * log.shape[1])
+        return Estimate(log, smallest.copy(), valid)
 
     def assign(self, other: Reconstructor) -> None:
         """Copy the state of an equal object (see `Reconstructor.assign`)."""

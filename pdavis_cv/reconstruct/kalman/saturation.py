@@ -124,6 +124,7 @@ class Saturated:
             self._grid.shape, theta_on=on, theta_off=off, response=response,
             lookahead_us=self._lookahead_us, bandwidth=self._law(level),
             ratio_sigma=self._spread(), model=self._model)
+        self._method.reads_valid = True
 
     def _gathered(self, values: ArrayLike) -> NDArray[np.float64]:
         """Return values of the sensor's pixels for those of the virtual sensor."""
