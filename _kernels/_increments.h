@@ -105,12 +105,13 @@ PDAVIS_INLINE double live_of(double gap, const camera_t *c)
 }
 
 /* Thresholds that an event stands for after a gap, and the gap before it, the last of
-   `run_before` events of one sign: light went on in the dead time.  (4) */
+   `run_before` events of one sign: light went on in the dead time.  (4)
+   An event of the same time has no such gap. */
 PDAVIS_INLINE double weight_of(double gap, double before, int same, int run_before,
                                const camera_t *c)
 {
     double live;
-    if (c->dead <= 0.0 || run_before < 1)
+    if (c->dead <= 0.0 || run_before < 1 || gap <= 0.0)
         return 1.0;
     if (same)
         return 1.0 + c->dead / live_of(gap, c);

@@ -58,7 +58,7 @@ class Pixel:
     def stands_for(self, gap, k, same):
         """Thresholds of event k, which comes after a gap.  (4)"""
         d = self.m.dead_s
-        if k == 0 or d == 0:
+        if k == 0 or d == 0 or gap <= 0:
             return 1.0
         if same:
             return 1 + d / self.live(gap)

@@ -110,6 +110,19 @@ def test_light_that_turns_in_a_parabola_is_exact_in_spite_of_dead_time():
 
 
 @pytest.mark.parametrize("mode", MODES)
+def test_events_of_both_signs_at_one_time_leave_the_pixel_finite(mode):
+    events, frames = stream(3)
+    twice = np.repeat(events[100:300], 2)
+    twice["p"][1::2] ^= 1
+    events = np.sort(np.concatenate([events, twice]), order="t", kind="stable")
+    one = make(mode=mode)
+    fed(one, events, frames, 800_000)
+    got = one.read(800_000 - one.lookahead_us)
+    assert np.isfinite(got.log_intensity).all()
+    assert np.isfinite(got.variance).all()
+
+
+@pytest.mark.parametrize("mode", MODES)
 def test_pixels_that_have_been_still_are_shown_as_others(mode, monkeypatch):
     """They are not looked at until an event comes (`increments_rest`)."""
     events, frames = stream(11, n=80, events_us=2_900_000)
