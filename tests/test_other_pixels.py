@@ -65,6 +65,14 @@ def test_a_lag_is_not_taken_for_stamps_that_are_off(pixel, seed, method, rpm, go
     assert errors(made, rpm, step_us=5077, **METHODS[method])[0] < goal
 
 
+@pytest.mark.accuracy
+@pytest.mark.gate
+def test_no_black_level_is_found_where_there_is_none():
+    """v2e's dim pixels are linear, which looks like 10 DN that frames lack."""
+    made = recording(v2e_events, 202.6, seconds=2.0, dolp=DOLP)
+    assert errors(made, 202.6, step_us=5077, method="kalman")[1] < 0.015
+
+
 @pytest.mark.gate
 def test_redundancy_finds_thresholds_that_are_far_from_equal():
     made = recording(v2e_events, 202.6, dolp=DOLP)   # ON and OFF differ by 21 % rms

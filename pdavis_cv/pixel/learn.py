@@ -86,8 +86,9 @@ MOST_SEARCHED, MOST_TRIED, MOST_FURTHER = (6000, 3000), 2000, 12_000
 """Rows in which numbers beside the thresholds are looked for, of short exposures and of
 long ones; those in which each clock offset is tried; and of further weights."""
 
-BLACK = 40.0, 40.0
-"""Black level from which the fit starts, and its prior standard deviation, DN."""
+BLACK, LEAST_BLACK = (40.0, 40.0), 15.0
+"""Black level from which the fit starts, and its prior standard deviation, DN; and the
+least that is taken: real frames lack 20 to 80 DN, errors of events look like 10."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -333,7 +334,8 @@ def _fitted(
         enough = -1 if black else 1         # evidence against what was found before
         sigma = math.sqrt(len(gain)) * gain.std()
         clearly = gain.sum() > enough * LOSS_OF_BLACK * sigma
-        if clearly and other.cost < best.cost - enough * EVIDENCE_OF_BLACK:
+        usual = other.model.black * ms > LEAST_BLACK
+        if usual and clearly and other.cost < best.cost - enough * EVIDENCE_OF_BLACK:
             best = other
     other = tried(_with(best, rest_s=RESTS_S[1]), (), 2)
     if other.per_row < best.per_row - BETTER_REST:
