@@ -144,37 +144,52 @@ PDAVIS_CLONES PDAVIS_UNUSED static void colour_tints(
     }
 }
 
-/* Twice as many values along a row between two: the first one, and a share of the
-   second.  Of two values the first has a share of what is before, the other of what is
-   behind. */
-PDAVIS_CLONES PDAVIS_UNUSED static void colour_spread(
-    const float *a, const float *b, float share, float before, float behind,
-    ptrdiff_t n, float *restrict out)
+/* The first of two rows and a share of the second, with an end more on either side. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_between(
+    const float *restrict a, const float *restrict b, float share, ptrdiff_t n,
+    float *restrict out)
 {
-#define PDAVIS_MIXED(x) ((1.0f - share) * a[x] + share * b[x])
-    out[0] = PDAVIS_MIXED(0);
-    out[2 * n - 1] = PDAVIS_MIXED(n - 1);
-    for (ptrdiff_t x = 0; x < n - 1; x++) {
-        float here = PDAVIS_MIXED(x), next = PDAVIS_MIXED(x + 1);
-        out[2 * x + 1] = (1.0f - behind) * here + behind * next;
-        out[2 * x + 2] = (1.0f - before) * next + before * here;
-    }
+    for (ptrdiff_t x = 0; x < n; x++)
+        out[x] = (1.0f - share) * a[x] + share * b[x];
+    out[-1] = out[0];
+    out[n] = out[n - 1];
 }
 
 /* A colour in parts of grey behind the polarizers at four places of each block: its
-   tint times 1 +- x +- y +- d, at least a 50th. */
+   tint times 1 +- x +- y +- d, at least a 50th.  These are of n cells, two blocks wide;
+   share of the cell before belongs to even blocks, of that behind to odd ones. */
 PDAVIS_CLONES PDAVIS_UNUSED static void colour_factors(
     const float *restrict tint, const float *restrict part_x,
-    const float *restrict part_y, const float *restrict part_d, ptrdiff_t w,
-    float *restrict to0, float *restrict to1, float *restrict to2, float *restrict to3)
+    const float *restrict part_y, const float *restrict part_d, float before,
+    float behind, ptrdiff_t n, float *restrict to0, float *restrict to1,
+    float *restrict to2, float *restrict to3)
 {
-    for (ptrdiff_t x = 0; x < w; x++) {
-        float a = 1.0f + part_x[x], b = 1.0f - part_x[x];
-        float plus = part_y[x] + part_d[x], minus = part_y[x] - part_d[x];
-        to0[x] = tint[x] * above_noise(a + plus);
-        to1[x] = tint[x] * above_noise(b + minus);
-        to2[x] = tint[x] * above_noise(a - plus);
-        to3[x] = tint[x] * above_noise(b - minus);
+#define PDAVIS_PLACES(at, beside, share)                                             \
+    {                                                                                \
+        float own = tint[at];                                                        \
+        float x = (1.0f - share) * part_x[j] + share * part_x[j + beside];           \
+        float y = (1.0f - share) * part_y[j] + share * part_y[j + beside];           \
+        float d = (1.0f - share) * part_d[j] + share * part_d[j + beside];           \
+        to0[at] = own * above_noise((1.0f + x) + (y + d));                           \
+        to1[at] = own * above_noise((1.0f - x) + (y - d));                           \
+        to2[at] = own * above_noise((1.0f + x) - (y + d));                           \
+        to3[at] = own * above_noise((1.0f - x) - (y - d));                           \
+    }
+    for (ptrdiff_t j = 0; j < n; j++) {
+        PDAVIS_PLACES(2 * j, -1, before)
+        PDAVIS_PLACES(2 * j + 1, 1, behind)
+    }
+}
+
+/* Pixels between the n blocks of a row, two to a block. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_pixels(
+    const float *restrict in, ptrdiff_t n, float *restrict out)
+{
+    out[0] = in[0];
+    out[2 * n - 1] = in[n - 1];
+    for (ptrdiff_t j = 0; j < n - 1; j++) {
+        out[2 * j + 1] = 0.75f * in[j] + 0.25f * in[j + 1];
+        out[2 * j + 2] = 0.75f * in[j + 1] + 0.25f * in[j];
     }
 }
 

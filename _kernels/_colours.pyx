@@ -25,10 +25,10 @@ cdef extern from "_colours.h" nogil:
     void colour_cells(const float*, Py_ssize_t, Py_ssize_t, float*, float*)
     void colour_window(const float**, Py_ssize_t, float*, float*)
     void tints_row "colour_tints"(const float**, Py_ssize_t, float*, float*, float*)
-    void colour_spread(const float*, const float*, float, float, float, Py_ssize_t,
-                       float*)
-    void colour_factors(const float*, const float*, const float*, const float*,
-                        Py_ssize_t, float*, float*, float*, float*)
+    void colour_between(const float*, const float*, float, Py_ssize_t, float*)
+    void colour_factors(const float*, const float*, const float*, const float*, float,
+                        float, Py_ssize_t, float*, float*, float*, float*)
+    void colour_pixels(const float*, Py_ssize_t, float*)
     void colour_divide(const float**, const float**, const float*, Py_ssize_t, float*)
     void colour_multiply(const float*, const float*, const float*, Py_ssize_t, float*)
 
@@ -79,7 +79,7 @@ def colour_bilinears(const pixel_t[:, ::1] mosaic not None,
                             &out[c, y, 0], &out[1, y, 0], &out[2 - c, y, 0])
 
 
-def colour_ratios(const pixel_t[:, ::1] mosaic not None, float[::1] scratch not None,
+def colour_ratios(const float[:, ::1] mosaic not None, float[::1] scratch not None,
                   float[:, :, ::1] means not None, float[:, ::1] grey not None,
                   float[:, :, :, :, ::1] parts not None):
     """Find the colours of mosaic (4h, 4w).
@@ -90,7 +90,7 @@ def colour_ratios(const pixel_t[:, ::1] mosaic not None, float[::1] scratch not 
     parts[1] are those of the cell itself.  scratch is 55 * (4 w + 32) + 32 floats.
     """
     cdef Py_ssize_t h = grey.shape[0], w = grey.shape[1], i, f, j, k, c, y
-    cdef float* row[55]    # four rings of eight rows, four single ones
+    cdef float* row[55]    # four rings of eight rows, two single ones
     cdef const float* around[7]
     check_ratios(mosaic.shape[0], mosaic.shape[1], means, parts[0], scratch)
     if parts.shape[0] != 2 or h != means.shape[1] or w != means.shape[2]:
@@ -100,21 +100,18 @@ def colour_ratios(const pixel_t[:, ::1] mosaic not None, float[::1] scratch not 
             row[k] = scratch_row(&scratch[0], k, 2 * w)
         for i in range(h + 2):
             if i < h:      # samples of row i of blocks
-                for j in range(2 * w):
-                    row[32][j] = <float>mosaic[2 * i, j]
-                    row[33][j] = <float>mosaic[2 * i + 1, j]
                 k = i & 7
-                colour_blocks(row[32], row[33], w, row[k], row[8 + k], row[16 + k],
-                              row[24 + k])
+                colour_blocks(&mosaic[2 * i, 0], &mosaic[2 * i + 1, 0], w, row[k],
+                              row[8 + k], row[16 + k], row[24 + k])
                 mirror_ends(row[k], w)
             f = i - 2
             if f >= 0:     # means of row f, and its share of the cells
                 for k in range(5):
                     around[k] = row[mirrored(f + k - 2, h) & 7]
-                colour_columns(around, w, row[34], row[35], row[8 + (f & 7)],
+                colour_columns(around, w, row[32], row[33], row[8 + (f & 7)],
                                row[16 + (f & 7)])
                 c = 2 * (f & 1)
-                colour_means(row[34], row[35], row[f & 7], f & 1, w, &means[c, f, 0],
+                colour_means(row[32], row[33], row[f & 7], f & 1, w, &means[c, f, 0],
                              &means[1, f, 0], &means[2 - c, f, 0], &grey[f, 0])
                 for k in range(3):
                     colour_cells(row[8 + 8 * k + (f & 7)], f & 1, w // 2,
@@ -170,13 +167,12 @@ cdef inline void factors(const float[:, :, ::1] tints, const float[:, :, :, ::1]
         share, beside = (behind, j + 1) if i & 1 else (before, j - 1)
         beside = min(max(beside, 0), parts.shape[2] - 1)
         for k in range(3):
-            colour_spread(&parts[c, k, j, 0], &parts[c, k, beside, 0], share, before,
-                          behind, n, row[48 + k])
-        colour_factors(&tints[c, i, 0], row[48], row[49], row[50], 2 * n, row[51],
-                       row[52], row[53], row[54])
+            colour_between(&parts[c, k, j, 0], &parts[c, k, beside, 0], share, n,
+                           row[48 + k])
+        colour_factors(&tints[c, i, 0], row[48], row[49], row[50], before, behind, n,
+                       row[51], row[52], row[53], row[54])
         for k in range(4):
-            colour_spread(row[51 + k], row[51 + k], 0, 0.25, 0.25, 2 * n,
-                          row[16 * c + 4 * k + (i & 3)])
+            colour_pixels(row[51 + k], 2 * n, row[16 * c + 4 * k + (i & 3)])
 
 
 cdef inline Py_ssize_t block_beside(Py_ssize_t y, Py_ssize_t h) noexcept nogil:
@@ -184,12 +180,12 @@ cdef inline Py_ssize_t block_beside(Py_ssize_t y, Py_ssize_t h) noexcept nogil:
     return min(max(y // 2 + (1 if y & 1 else -1), 0), h - 1)
 
 
-def grey_mosaic(const pixel_t[:, ::1] mosaic not None,
+def grey_mosaic(const float[:, ::1] mosaic not None,
                 const float[:, :, ::1] tints not None,
                 const float[:, :, :, ::1] parts not None, float[::1] scratch not None,
                 float[:, ::1] out not None):
     """Divide each sample of mosaic by what its colour is in parts of grey."""
-    cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], x, y, k, p
+    cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], y, k, p
     cdef float* row[55]
     cdef const float* here[4]
     cdef const float* beside[4]
@@ -207,9 +203,7 @@ def grey_mosaic(const pixel_t[:, ::1] mosaic not None,
                 p = 16 * (k // 2 + (y // 2 & 1)) + 4 * (2 * (y & 1) + k % 2)
                 here[k] = row[p + (y // 2 & 3)]
                 beside[k] = row[p + (block_beside(y, h // 2) & 3)]
-            for x in range(w):
-                row[48][x] = <float>mosaic[y, x]
-            colour_divide(here, beside, row[48], w, &out[y, 0])
+            colour_divide(here, beside, &mosaic[y, 0], w, &out[y, 0])
 
 
 def colour_planes(const Py_ssize_t[::1] places not None,

@@ -146,8 +146,8 @@ def bilinear_weighted(const float[:, ::1] mosaic not None,
                 q[c], v[c] = &quad[c, y, 0], &out[c, y, 0]
             weighted_row(&image, y, q, v)
             if polarizes:
-                polarization_row(
-                    q[0], q[1], q[2], q[3], gain, w, &aop[y, 0], &dolp[y, 0])
+                polarization_row(q[0], q[1], q[2], q[3], gain, w, image.own, &aop[y, 0],
+                                 &dolp[y, 0])
 
 
 cdef inline void keep_row(uint8_t* to, const uint8_t* of, Py_ssize_t n) noexcept nogil:

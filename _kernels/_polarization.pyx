@@ -63,15 +63,11 @@ def dolp(const float[::1] s0 not None, const float[::1] s1 not None,
 def s0_aop_dolp(const float[:, ::1] quad not None, float gain, float[::1] s0 not None,
                 float[::1] aop not None, float[::1] dolp not None):
     """S0, angle and degree of quad (4, n) in one pass; gain as in `stokes`."""
-    cdef Py_ssize_t n = quad.shape[1], first, i, count
-    cdef float half = 0.5
+    cdef Py_ssize_t n = quad.shape[1]
     if (quad.shape[0] != 4 or s0.shape[0] != n or aop.shape[0] != n
             or dolp.shape[0] != n):
         raise ValueError("s0_aop_dolp: quad must be (4, n), s0, aop and dolp (n,)")
-    with nogil:
-        for first in range(0, n, 1024):  # which fit the cache
-            count = min(1024, n - first)
-            polarization_row(&quad[0, first], &quad[1, first], &quad[2, first],
-                             &quad[3, first], gain, count, &aop[first], &dolp[first])
-            for i in range(first, first + count):
-                s0[i] = half * ((quad[0, i] + quad[2, i]) + (quad[1, i] + quad[3, i]))
+    if n:
+        with nogil:
+            polarization_row(&quad[0, 0], &quad[1, 0], &quad[2, 0], &quad[3, 0], gain,
+                             n, &s0[0], &aop[0], &dolp[0])

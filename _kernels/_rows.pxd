@@ -24,7 +24,7 @@ cdef extern from "_stencil.h" nogil:
         float*, float*, float*)
     void polarization_row(
         const float*, const float*, const float*, const float*, float, Py_ssize_t,
-        float*, float*)
+        float*, float*, float*)
 
 
 cdef inline int check_places(const Py_ssize_t[::1] places) except -1:

@@ -193,17 +193,18 @@ PDAVIS_CLONES PDAVIS_UNUSED static void mix_row(
 
 PDAVIS_CLONES PDAVIS_UNUSED static void polarization_row(
     const float *restrict i0, const float *restrict i45, const float *restrict i90,
-    const float *restrict i135, float gain, ptrdiff_t n, float *restrict aop,
-    float *restrict dolp)
+    const float *restrict i135, float gain, ptrdiff_t n, float *restrict s0,
+    float *restrict aop, float *restrict dolp)
 {
     PDAVIS_BLOCKS(n, {
-        float s0 = 0.5f * ((i0[i] + i90[i]) + (i45[i] + i135[i]));
+        float light = 0.5f * ((i0[i] + i90[i]) + (i45[i] + i135[i]));
         float x = gain * (i0[i] - i90[i]) + 0.0f;
         float y = gain * (i45[i] - i135[i]) + 0.0f;
         float large;
         float r = ratio(x, y, &large);
+        s0[i] = light;
         aop[i] = half_atan2(y, x, r);
-        dolp[i] = degree(s0, large, r);
+        dolp[i] = degree(light, large, r);
     });
 }
 

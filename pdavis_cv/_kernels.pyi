@@ -67,11 +67,11 @@ def colour_planes(
     places: NDArray[np.intp], tints: _F32, parts: _F32, scratch: _F32, out: _F32
 ) -> None: ...
 def colour_ratios(
-    mosaic: NDArray[_Pixel], scratch: _F32, means: _F32, grey: _F32, parts: _F32
+    mosaic: _F32, scratch: _F32, means: _F32, grey: _F32, parts: _F32
 ) -> None: ...
 def colour_tints(grey: _F32, means: _F32) -> None: ...
 def grey_mosaic(
-    mosaic: NDArray[_Pixel], tints: _F32, parts: _F32, scratch: _F32, out: _F32
+    mosaic: _F32, tints: _F32, parts: _F32, scratch: _F32, out: _F32
 ) -> None: ...
 def settle(
     samples: NDArray[Any], accepted: int, n: int, reach: int, held: int, final: bool,

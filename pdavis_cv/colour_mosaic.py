@@ -66,13 +66,14 @@ def colour_channels(
         planes = np.empty((3, 4, *mosaic.shape), np.float32)
     layout = replace(layout.crop(-left, -top), colours=None)
     h, w = (n // 4 for n in mosaic.shape)
-    grey, lights, blocks, _ = planes[0]     # before they are what they shall be
+    grey, lights, blocks, image = planes[0]     # before they are what they shall be
+    image[:] = mosaic
     lights, blocks = lights.reshape(4, 2 * h, 2 * w), blocks.reshape(4, 2 * h, 2 * w)[0]
     tints = np.empty((3, 2 * h, 2 * w), np.float32)
     parts = np.empty((2, 3, 3, h, w), np.float32)
-    _kernels.colour_ratios(mosaic, spare, tints, blocks, parts)
+    _kernels.colour_ratios(image, spare, tints, blocks, parts)
     _kernels.colour_tints(demosaic(blocks, _BAYER, method, lights), tints)
-    _kernels.grey_mosaic(mosaic, tints, parts[0], spare, grey)
+    _kernels.grey_mosaic(image, tints, parts[0], spare, grey)
     demosaic(grey, layout, method, planes[1], valid=valid)
     _kernels.colour_planes(
         np.array(layout.places, np.intp), tints, parts[0], spare, planes)

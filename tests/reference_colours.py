@@ -97,10 +97,7 @@ def factors(tints, parts):
         three = np.concatenate([here[:1], here[:-1]]), here, np.concatenate(
             [here[1:], here[-1:]])
         out = np.stack([first(*three), second(*three)], 1)
-        out = out.reshape(-1, *here.shape[1:])
-        if axis == 2:   # at the ends of a row there is nothing beside
-            out[0], out[-1] = here[0], here[-1]
-        return np.moveaxis(out, 0, axis)
+        return np.moveaxis(out.reshape(-1, *here.shape[1:]), 0, axis)
 
     def of_cells(image, share, axis):
         before, behind = F(share), F(0.5 - share)
@@ -116,7 +113,9 @@ def factors(tints, parts):
         x, y, d = of_cells(of_cells(part, 0.25 * c, 1), 0.25 * c, 2)
         blocks = tint * np.maximum([(1 + x) + (y + d), (1 - x) + (y - d),
                                     (1 + x) - (y + d), (1 - x) - (y - d)], F(0.02))
-        out.append(of_blocks(of_blocks(blocks, 2), 1))
+        pixels = of_blocks(blocks, 2)
+        pixels[..., 0], pixels[..., -1] = blocks[..., 0], blocks[..., -1]
+        out.append(of_blocks(pixels, 1))
     return np.stack(out)
 
 

@@ -68,11 +68,12 @@ def test_the_kernel_of_bilinear_colours_equals_its_twin(shape, dtype):
 @pytest.mark.parametrize("shape", [(4, 4), (8, 4), (4, 20), (24, 44)])
 def test_the_kernels_of_guided_colours_equal_their_twins(shape, dtype):
     mosaic, (h, w), spare = noise(shape, dtype), shape, scratch_rows(55, shape[1])
+    image = mosaic.astype(np.float32)
     tints, blocks, parts, grey, out = (
         np.full(size, np.nan, np.float32) for size in (
             (3, h // 2, w // 2), (h // 2, w // 2), (2, 3, 3, h // 4, w // 4), shape,
             (3, 4, h, w)))
-    _kernels.colour_ratios(mosaic, spare, tints, blocks, parts)
+    _kernels.colour_ratios(image, spare, tints, blocks, parts)
     parts, _ = parts
     for got, expected in zip(
             (tints, blocks, parts), reference.colour_ratios(mosaic), strict=True):
@@ -81,7 +82,7 @@ def test_the_kernels_of_guided_colours_equal_their_twins(shape, dtype):
     expected = reference.colour_tints(lights, tints)
     _kernels.colour_tints(lights, tints)
     np.testing.assert_array_equal(tints, expected)
-    _kernels.grey_mosaic(mosaic, tints, parts, spare, grey)
+    _kernels.grey_mosaic(image, tints, parts, spare, grey)
     np.testing.assert_array_equal(grey, reference.grey_mosaic(mosaic, tints, parts))
     out[1] = pdavis_cv.demosaic(grey, "sony", "guided")
     expected = reference.colour_planes(out[1].copy(), COLOUR.places, tints, parts)
