@@ -99,7 +99,7 @@ def test_single_bright_pixels_stay_within_what_their_colour_can_be():
     assert np.abs(got).max() < 65535 * 3 / 0.02**2
     tints = np.ones((3, 4, 4), np.float32)
     _kernels.colour_tints(rng.normal(0, 9, (4, 4, 4)).astype(np.float32), tints)
-    assert 0.02 <= tints.min() < tints.max() <= 3 * (1 + 1e-6)
+    assert np.float32(0.02) <= tints.min() < tints.max() <= 3 * (1 + 1e-6)
 
 
 def test_kernels_refuse_arrays_that_do_not_fit():

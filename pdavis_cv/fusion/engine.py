@@ -444,9 +444,7 @@ class Fusion(Advises):
         reached_us: int | None = None,
     ) -> None:
         """Begin to read the source after what has been fed."""
-        clock_us = self._initial_tuning().clock_us
-        if self._online is not None:
-            clock_us = self._online.tuning.clock_us
+        clock_us = self._known.clock_us
         source = self.recording
         if isinstance(source, Recording):
             # A frame that the offset moves to a later time has an earlier time stamp.
