@@ -11,8 +11,7 @@ _MODULES = {
     "_build": "DEBUG",
     "_bus": "read_out sort_events",
     "_clock": "cells settle",
-    "_colours": "colour_bilinears colour_planes colour_ratios colour_tints "
-                "grey_mosaic",
+    "_colours": "colour_bilinears colour_planes colour_ratios grey_mosaic",
     "_davis_usb": "davis_words",
     "_degree": "lasting_degree",
     "_demosaic": "bilinear bilinear_variance bilinear_weighted binned reached",

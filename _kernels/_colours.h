@@ -30,8 +30,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void colour_bilinear(
 
 PDAVIS_INLINE float part_of(float difference, float sum)
 {
-    float part = difference / sum;
-    return part < -1.0f ? -1.0f : part > 1.0f ? 1.0f : part;
+    return at_least(-1.0f, -at_least(-1.0f, -difference / sum));
 }
 
 /* The sum of each block of 2x2 pixels, and its three differences in parts of it: of
@@ -126,21 +125,50 @@ PDAVIS_CLONES PDAVIS_UNUSED static void colour_window(
 /* The least of a part of grey: below is noise. */
 PDAVIS_INLINE float above_noise(float part) { return at_least(0.02f, part); }
 
-/* Means of colours around blocks become tints: the colours over the mean of all.  They
-   are multiplied by those of the grey mosaic of blocks, of which two are green. */
-PDAVIS_CLONES PDAVIS_UNUSED static void colour_tints(
-    const float *const *grey, ptrdiff_t w, float *restrict red, float *restrict green,
-    float *restrict blue)
+/* Green of grey blocks of rows y - 2 to y + 2 at the others, from the two beside, more
+   along the line on which light changes less, and three quarters of the curvature of
+   their own colour; and what these have more than green. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_green(
+    const float *const *rows, int shift, ptrdiff_t w, float *restrict green,
+    float *restrict more)
 {
-    const float *restrict p = grey[0], *restrict q = grey[1], *restrict r = grey[2];
-    const float *restrict s = grey[3];
+    const float *restrict a = rows[0], *restrict b = rows[1], *restrict c = rows[2];
+    const float *restrict d = rows[3], *restrict e = rows[4];
     for (ptrdiff_t x = 0; x < w; x++) {
-        float a = at_least(0.0f, red[x] * p[x]), c = at_least(0.0f, blue[x] * s[x]);
-        float b = at_least(0.0f, green[x] * (0.5f * (q[x] + r[x])));
-        float level = 1.0f / at_least(1e-20f, (a + (b + c)) / 3.0f);
-        red[x] = above_noise(a * level);
-        green[x] = above_noise(b * level);
-        blue[x] = above_noise(c * level);
+        float bent_x = 2.0f * c[x] - (c[x - 2] + c[x + 2]);
+        float bent_y = 2.0f * c[x] - (a[x] + e[x]);
+        float change_x = fabsf(c[x + 1] - c[x - 1]) + fabsf(bent_x);
+        float change_y = fabsf(d[x] - b[x]) + fabsf(bent_y);
+        float least = 1e-3f * (c[x] * c[x]) + 1e-20f;
+        float weight_x = change_y * change_y + least;
+        float weight_y = change_x * change_x + least;
+        float along = weight_x * (0.5f * (c[x - 1] + c[x + 1]) + 0.1875f * bent_x);
+        float across = weight_y * (0.5f * (b[x] + d[x]) + 0.1875f * bent_y);
+        green[x] = pick(-(((int32_t)x + shift) & 1), c[x],
+                        (along + across) / (weight_x + weight_y));
+        more[x] = c[x] - green[x];
+    }
+}
+
+/* Means of colours around blocks become tints: the colours over the mean of all.  They
+   are multiplied by grey blocks: green, and what rows y - 1 to y + 1 have more. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_tints(
+    const float *restrict grey, const float *const *more, int shift, ptrdiff_t w,
+    float *restrict n, float *restrict green, float *restrict o)
+{
+    const float *restrict a = more[0], *restrict b = more[1], *restrict c = more[2];
+    for (ptrdiff_t x = 0; x < w; x++) {
+        int32_t here = -(((int32_t)x + shift) & 1);
+        float more_n = pick(here, 0.5f * (b[x - 1] + b[x + 1]), b[x]);
+        float more_o = pick(here, 0.5f * (a[x] + c[x]),
+                            0.25f * ((a[x - 1] + a[x + 1]) + (c[x - 1] + c[x + 1])));
+        float p = at_least(0.0f, n[x] * (grey[x] + more_n));
+        float q = at_least(0.0f, green[x] * grey[x]);
+        float r = at_least(0.0f, o[x] * (grey[x] + more_o));
+        float level = 1.0f / at_least(1e-20f, (p + (q + r)) / 3.0f);
+        n[x] = above_noise(p * level);
+        green[x] = above_noise(q * level);
+        o[x] = above_noise(r * level);
     }
 }
 

@@ -1,12 +1,8 @@
-"""Demosaicing of mosaics of colours and polarizers.
+"""Demosaicing of mosaics of colours and polarizers, see docs/theory/demosaicing.md.
 
-Bilinear: each polarizer sees a Bayer mosaic of half the size, whose colours make three
-mosaics of polarizers.
-
-Guided: blocks of 2x2 pixels behind one filter are a Bayer mosaic too.  It tells the
-colours' tints; cells of 4x4 pixels tell what is polarized in each colour.  Both turn
-the mosaic into a grey one, and its channels into those of the colours.  Cells begin
-with red.  The equations are in docs/theory/demosaicing.md.
+Blocks of 2x2 pixels behind one filter are a Bayer mosaic, which tells the colours'
+tints; cells of 4x4 pixels tell what is polarized in each colour.  Both turn the mosaic
+into a grey one, and its channels into those of the colours.  Cells begin with red.
 """
 from libc.stdint cimport uint8_t
 
@@ -24,7 +20,9 @@ cdef extern from "_colours.h" nogil:
                       float*, float*, float*)
     void colour_cells(const float*, Py_ssize_t, Py_ssize_t, float*, float*)
     void colour_window(const float**, Py_ssize_t, float*, float*)
-    void tints_row "colour_tints"(const float**, Py_ssize_t, float*, float*, float*)
+    void colour_green(const float**, int, Py_ssize_t, float*, float*)
+    void colour_tints(const float*, const float**, int, Py_ssize_t, float*, float*,
+                      float*)
     void colour_between(const float*, const float*, float, Py_ssize_t, float*)
     void colour_factors(const float*, const float*, const float*, const float*, float,
                         float, Py_ssize_t, float*, float*, float*, float*)
@@ -36,18 +34,13 @@ cdef enum:
     ROWS = 55   # twelve rings of four pixel rows, seven more
 
 
-cdef inline Py_ssize_t inside(Py_ssize_t i, Py_ssize_t n) noexcept nogil:
-    """The index i, or outside 0..n-1 that of the same place in the nearest cell."""
-    return i & 3 if i < 0 else n - 4 + ((i - n) & 3) if i >= n else i
-
-
 def colour_bilinears(const pixel_t[:, ::1] mosaic not None,
                      const uint8_t[:, ::1] cell not None, float[::1] scratch not None,
                      float[:, :, ::1] out not None):
     """Interpolate the colours of mosaic (h, w), sides >= 4, to out (3, h, w).
 
-    cell (4, 4) has those of the filters, each over 2x2 pixels.  The last cell is
-    repeated beyond borders.  scratch is 2 * (w + 32) + 32 floats.
+    cell (4, 4) has those of the filters, each over 2x2 pixels.  Beyond borders the last
+    cell is repeated.  scratch is 2 * (w + 32) + 32 floats.
     """
     cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], y, x, k, c
     cdef bint first, second
@@ -55,17 +48,16 @@ def colour_bilinears(const pixel_t[:, ::1] mosaic not None,
     cdef float* row[2]
     cdef const pixel_t* above
     cdef const pixel_t* below
-    if h < 4 or w < 4 or out.shape[0] != 3 or out.shape[1] != h or out.shape[2] != w:
-        raise ValueError(
-            "colour_bilinears: mosaic must be (h, w), sides >= 4, out (3, h, w)")
-    if (cell.shape[0] != 4 or cell.shape[1] != 4
+    if (h < 4 or w < 4 or out.shape[0] != 3 or out.shape[1] != h or out.shape[2] != w
+            or cell.shape[0] != 4 or cell.shape[1] != 4
             or scratch.shape[0] < 2 * row_stride(w) + 32):
-        raise ValueError("colour_bilinears: cell must be (4, 4), scratch "
-                         "2 * (w + 32) + 32 floats")
+        raise ValueError("colour_bilinears: mosaic must be (h, w), sides >= 4, cell "
+                         "(4, 4), scratch 2 * (w + 32) + 32 floats, out (3, h, w)")
     row[0], row[1] = scratch_row(&scratch[0], 0, w), scratch_row(&scratch[0], 1, w)
     with nogil:
         for y in range(h):
-            above, below = &mosaic[inside(y - 2, h), 0], &mosaic[inside(y + 2, h), 0]
+            above = &mosaic[y - 2 if y > 1 else y + 2, 0]
+            below = &mosaic[y + 2 if y + 2 < h else y - 2, 0]
             for x in range(w):
                 row[0][x] = <float>mosaic[y, x]
                 row[1][x] = half * (<float>above[x] + <float>below[x])
@@ -79,81 +71,82 @@ def colour_bilinears(const pixel_t[:, ::1] mosaic not None,
                             &out[c, y, 0], &out[1, y, 0], &out[2 - c, y, 0])
 
 
-def colour_ratios(const float[:, ::1] mosaic not None, float[::1] scratch not None,
-                  float[:, :, ::1] means not None, float[:, ::1] grey not None,
-                  float[:, :, :, :, ::1] parts not None):
-    """Find the colours of mosaic (4h, 4w).
-
-    means (3, 2h, 2w) are those of red, green and blue around each block, grey (2h, 2w)
-    its own light over that of its colour.  parts[0] (3, 3, h, w) are, around each cell,
-    the differences of columns, of rows and of diagonals of each colour over its light;
-    parts[1] are those of the cell itself.  scratch is 55 * (4 w + 32) + 32 floats.
-    """
-    cdef Py_ssize_t h = grey.shape[0], w = grey.shape[1], i, f, j, k, c, y
-    cdef float* row[55]    # four rings of eight rows, two single ones
-    cdef const float* around[7]
-    check_ratios(mosaic.shape[0], mosaic.shape[1], means, parts[0], scratch)
-    if parts.shape[0] != 2 or h != means.shape[1] or w != means.shape[2]:
-        raise ValueError("colour_ratios: parts must be two, grey of the size of means")
-    with nogil:
-        for k in range(ROWS):
-            row[k] = scratch_row(&scratch[0], k, 2 * w)
-        for i in range(h + 2):
-            if i < h:      # samples of row i of blocks
-                k = i & 7
-                colour_blocks(&mosaic[2 * i, 0], &mosaic[2 * i + 1, 0], w, row[k],
-                              row[8 + k], row[16 + k], row[24 + k])
-                mirror_ends(row[k], w)
-            f = i - 2
-            if f >= 0:     # means of row f, and its share of the cells
-                for k in range(5):
-                    around[k] = row[mirrored(f + k - 2, h) & 7]
-                colour_columns(around, w, row[32], row[33], row[8 + (f & 7)],
-                               row[16 + (f & 7)])
-                c = 2 * (f & 1)
-                colour_means(row[32], row[33], row[f & 7], f & 1, w, &means[c, f, 0],
-                             &means[1, f, 0], &means[2 - c, f, 0], &grey[f, 0])
-                for k in range(3):
-                    colour_cells(row[8 + 8 * k + (f & 7)], f & 1, w // 2,
-                                 &parts[1, c, k, f // 2, 0], &parts[1, 1, k, f // 2, 0])
-        for c in range(3):
-            for y in range(h // 2):
-                for k in range(3):
-                    for j in range(7):
-                        i = min(max(y + j - 3, 0), h // 2 - 1)
-                        around[j] = &parts[1, c, k, i, 0]
-                    colour_window(around, w // 2, row[0] + 1,
-                                  &parts[0, c, k, y, 0])
-
-
-def colour_tints(const float[:, :, ::1] grey not None,
-                 float[:, :, ::1] means not None):
-    """Make of means (3, 2h, 2w) tints: colours over the mean of all.
-
-    grey (4, 2h, 2w) are red, two of green, and blue of the grey mosaic of blocks.
-    """
-    cdef Py_ssize_t y, k
-    cdef const float* row[4]
-    if (means.shape[0] != 3 or grey.shape[0] != 4 or grey.shape[1] != means.shape[1]
-            or grey.shape[2] != means.shape[2]):
-        raise ValueError("colour_tints: grey must be (4, h, w), means (3, h, w)")
-    with nogil:
-        for y in range(means.shape[1]):
-            for k in range(4):
-                row[k] = &grey[k, y, 0]
-            tints_row(row, means.shape[2], &means[0, y, 0], &means[1, y, 0],
-                      &means[2, y, 0])
-
-
-cdef int check_ratios(Py_ssize_t h, Py_ssize_t w, const float[:, :, ::1] tints,
-                      const float[:, :, :, ::1] parts, float[::1] scratch) except -1:
+cdef int begin(Py_ssize_t h, Py_ssize_t w, const float[:, :, ::1] tints,
+               const float[:, :, :, ::1] parts, float[::1] scratch,
+               float** row) except -1:
+    cdef Py_ssize_t k
     if (h < 4 or w < 4 or h % 4 or w % 4 or tints.shape[0] != 3
             or 2 * tints.shape[1] != h or 2 * tints.shape[2] != w or parts.shape[0] != 3
             or parts.shape[1] != 3 or 4 * parts.shape[2] != h or 4 * parts.shape[3] != w
             or scratch.shape[0] < ROWS * row_stride(w) + 32):
         raise ValueError("images must be (4h, 4w), of blocks (3, 2h, 2w), of cells "
                          "(3, 3, h, w), scratch 55 * (4 w + 32) + 32 floats")
+    for k in range(ROWS):
+        row[k] = scratch_row(&scratch[0], k, w)
     return 0
+
+
+cdef inline void rows_around(float** ring, Py_ssize_t y, Py_ssize_t h, Py_ssize_t reach,
+                             const float** rows) noexcept nogil:
+    """Rows y - reach to y + reach of a ring of eight, mirrored."""
+    cdef Py_ssize_t k
+    for k in range(2 * reach + 1):
+        rows[k] = ring[mirrored(y + k - reach, h) & 7]
+
+
+def colour_ratios(const float[:, ::1] mosaic not None, float[::1] scratch not None,
+                  float[:, :, ::1] tints not None,
+                  float[:, :, :, :, ::1] parts not None):
+    """Find the colours of mosaic (4h, 4w).
+
+    tints (3, 2h, 2w): red, green and blue of each block over their mean.  parts[0]
+    (3, 3, h, w): around each cell the differences of columns, of rows and of diagonals
+    of each colour over its light; parts[1]: those of the cell itself.  scratch is
+    55 * (4 w + 32) + 32 floats.
+    """
+    cdef Py_ssize_t h = tints.shape[1], w = tints.shape[2], i, f, j, k, c, y
+    cdef float* row[55]    # of eight each: light, three differences, grey, more than
+    cdef const float* around[7]     # green; then two of green, two single ones
+    begin(mosaic.shape[0], mosaic.shape[1], tints, parts[0], scratch, row)
+    if parts.shape[0] != 2:
+        raise ValueError("colour_ratios: parts must be two")
+    with nogil:
+        for i in range(h + 5):
+            if i < h:      # samples of row i of blocks
+                k = i & 7
+                colour_blocks(&mosaic[2 * i, 0], &mosaic[2 * i + 1, 0], w, row[k],
+                              row[8 + k], row[16 + k], row[24 + k])
+                mirror_ends(row[k], w)
+            f = i - 2
+            if 0 <= f < h:  # means of row f, and its share of the cells
+                rows_around(row, f, h, 2, around)
+                colour_columns(around, w, row[50], row[51], row[8 + (f & 7)],
+                               row[16 + (f & 7)])
+                c = 2 * (f & 1)
+                colour_means(row[50], row[51], row[f & 7], f & 1, w, &tints[c, f, 0],
+                             &tints[1, f, 0], &tints[2 - c, f, 0], row[32 + (f & 7)])
+                mirror_ends(row[32 + (f & 7)], w)
+                for k in range(3):
+                    colour_cells(row[8 + 8 * k + (f & 7)], f & 1, w // 2,
+                                 &parts[1, c, k, f // 2, 0], &parts[1, 1, k, f // 2, 0])
+            f = i - 4
+            if 0 <= f < h:  # green of row f
+                rows_around(row + 32, f, h, 2, around)
+                colour_green(around, f & 1, w, row[48 + (f & 1)], row[40 + (f & 7)])
+                mirror_ends(row[40 + (f & 7)], w)
+            f = i - 5
+            if f >= 0:      # tints of row f
+                rows_around(row + 40, f, h, 1, around)
+                c = 2 * (f & 1)
+                colour_tints(row[48 + (f & 1)], around, f & 1, w, &tints[c, f, 0],
+                             &tints[1, f, 0], &tints[2 - c, f, 0])
+        for c in range(3):
+            for y in range(h // 2):
+                for k in range(3):
+                    for j in range(7):
+                        i = min(max(y + j - 3, 0), h // 2 - 1)
+                        around[j] = &parts[1, c, k, i, 0]
+                    colour_window(around, w // 2, row[0] + 1, &parts[0, c, k, y, 0])
 
 
 cdef inline void factors(const float[:, :, ::1] tints, const float[:, :, :, ::1] parts,
@@ -175,9 +168,9 @@ cdef inline void factors(const float[:, :, ::1] tints, const float[:, :, :, ::1]
             colour_pixels(row[51 + k], 2 * n, row[16 * c + 4 * k + (i & 3)])
 
 
-cdef inline Py_ssize_t block_beside(Py_ssize_t y, Py_ssize_t h) noexcept nogil:
-    """Of h rows of blocks the one nearest to row y of pixels beside its own."""
-    return min(max(y // 2 + (1 if y & 1 else -1), 0), h - 1)
+cdef inline Py_ssize_t slot_beside(Py_ssize_t y, Py_ssize_t h) noexcept nogil:
+    """Slot of the row of blocks, of h, next to row y of pixels beside its own."""
+    return min(max(y // 2 + (1 if y & 1 else -1), 0), h - 1) & 3
 
 
 def grey_mosaic(const float[:, ::1] mosaic not None,
@@ -189,12 +182,10 @@ def grey_mosaic(const float[:, ::1] mosaic not None,
     cdef float* row[55]
     cdef const float* here[4]
     cdef const float* beside[4]
-    check_ratios(h, w, tints, parts, scratch)
+    begin(h, w, tints, parts, scratch, row)
     if out.shape[0] != h or out.shape[1] != w:
         raise ValueError("grey_mosaic: out must have the size of mosaic")
     with nogil:
-        for k in range(ROWS):
-            row[k] = scratch_row(&scratch[0], k, w)
         factors(tints, parts, 0, row)
         for y in range(h):
             if not y & 1:
@@ -202,7 +193,7 @@ def grey_mosaic(const float[:, ::1] mosaic not None,
             for k in range(4):  # of the filters of even and of odd blocks
                 p = 16 * (k // 2 + (y // 2 & 1)) + 4 * (2 * (y & 1) + k % 2)
                 here[k] = row[p + (y // 2 & 3)]
-                beside[k] = row[p + (block_beside(y, h // 2) & 3)]
+                beside[k] = row[p + slot_beside(y, h // 2)]
             colour_divide(here, beside, &mosaic[y, 0], w, &out[y, 0])
 
 
@@ -217,14 +208,12 @@ def colour_planes(const Py_ssize_t[::1] places not None,
     cdef Py_ssize_t h = out.shape[2], w = out.shape[3], y, k, c, p
     cdef Py_ssize_t plane[4]
     cdef float* row[55]
-    check_ratios(h, w, tints, parts, scratch)
+    begin(h, w, tints, parts, scratch, row)
     if out.shape[0] != 3 or out.shape[1] != 4:
         raise ValueError("colour_planes: out must be (3, 4, 4h, 4w)")
     check_places(places)
     plane_of_place(places, plane)
     with nogil:
-        for k in range(ROWS):
-            row[k] = scratch_row(&scratch[0], k, w)
         factors(tints, parts, 0, row)
         for y in range(h):
             if not y & 1:
@@ -233,5 +222,5 @@ def colour_planes(const Py_ssize_t[::1] places not None,
                 c, p = 2 * (k // 4) % 3, k & 3      # green last, which is read
                 colour_multiply(
                     row[16 * c + 4 * p + (y // 2 & 3)],
-                    row[16 * c + 4 * p + (block_beside(y, h // 2) & 3)],
+                    row[16 * c + 4 * p + slot_beside(y, h // 2)],
                     &out[1, plane[p], y, 0], w, &out[c, plane[p], y, 0])

@@ -23,12 +23,10 @@ COLOUR_METHODS = ("bilinear", "guided")
 COLOUR_REACH = {"bilinear": 6, "guided": 26}
 """Distance up to which the mosaics of colours depend on other pixels.
 
-Guided: 4 of a slope, 12 of a window of cells, and 6 of linear interpolation to pixels.
-Both: 4 more where a sample is replaced."""
+Guided: 4 of a slope, 12 of a window of cells, 6 of interpolation to pixels.  Both: 4
+where a sample is replaced."""
 
 _CELL = "RRGGRRGGGGBBGGBB"
-_BAYER = Layout((0, 45), (90, 135))
-"""Red, two of green, and blue as if they were channels of polarizers."""
 
 
 def colour_channels(
@@ -39,11 +37,8 @@ def colour_channels(
 
     ``"bilinear"`` takes a colour from its nearest samples behind the same polarizer.
     ``"guided"`` divides each sample by what its colour is, behind its polarizer, in
-    parts of the grey around it; the four channels of that grey mosaic are multiplied by
-    what each colour is.  `demosaic` serves filters as it does polarizers.
-
-    The mosaic is (H, W), sides of at least 4, behind a layout with colours, with usable
-    samples instead of those that are not `valid`.
+    parts of the grey around it, and multiplies the channels of that grey mosaic by what
+    each colour is.  The mosaic has usable samples instead of those not `valid`.
     """
     spare = np.empty(55 * (mosaic.shape[1] + 40) + 32, np.float32)
     if method == "bilinear":
@@ -66,13 +61,11 @@ def colour_channels(
         planes = np.empty((3, 4, *mosaic.shape), np.float32)
     layout = replace(layout.crop(-left, -top), colours=None)
     h, w = (n // 4 for n in mosaic.shape)
-    grey, lights, blocks, image = planes[0]     # before they are what they shall be
+    grey, image = planes[0, :2]     # before they are what they shall be
     image[:] = mosaic
-    lights, blocks = lights.reshape(4, 2 * h, 2 * w), blocks.reshape(4, 2 * h, 2 * w)[0]
     tints = np.empty((3, 2 * h, 2 * w), np.float32)
     parts = np.empty((2, 3, 3, h, w), np.float32)
-    _kernels.colour_ratios(image, spare, tints, blocks, parts)
-    _kernels.colour_tints(demosaic(blocks, _BAYER, method, lights), tints)
+    _kernels.colour_ratios(image, spare, tints, parts)
     _kernels.grey_mosaic(image, tints, parts[0], spare, grey)
     demosaic(grey, layout, method, planes[1], valid=valid)
     _kernels.colour_planes(

@@ -38,7 +38,7 @@ def beside(image, dy, dx):
 
 
 def colour_ratios(mosaic):
-    """Means of colours around blocks, blocks over that of their own, and parts."""
+    """Tints of blocks, and parts of cells."""
     m = mosaic.astype(F)
     a, b, c, d = m[::2, ::2], m[::2, 1::2], m[1::2, ::2], m[1::2, 1::2]
     light = np.maximum((a + b) + (c + d), F(1e-20))
@@ -61,10 +61,28 @@ def colour_ratios(mosaic):
     a, b, c, d = own(same, 0, 2), other(same, 0, 1), own(across, 0, 2), other(
         across, 0, 1)
     of_own = np.where(green, (F(25) * a + F(16) * d) / F(41), a)
-    n, o = np.where(green, b, a), np.where(green, c, d)
-    means = np.stack([np.where(red_row, n, o),
-                      np.where(green, of_own, F(0.5) * (b + c)),
-                      np.where(red_row, o, n)])
+    n_mean, o_mean = np.where(green, b, a), np.where(green, c, d)
+    green_mean = np.where(green, of_own, F(0.5) * (b + c))
+    grey = light / of_own
+    bent = [F(2) * grey - (beside(grey, -s, -t) + beside(grey, s, t))
+            for s, t in ((0, 2), (2, 0))]
+    change = [np.abs(beside(grey, s, t) - beside(grey, -s, -t)) + np.abs(one)
+              for one, (s, t) in zip(bent, ((0, 1), (1, 0)), strict=True)]
+    least = F(1e-3) * (grey * grey) + F(1e-20)
+    wx, wy = change[1] * change[1] + least, change[0] * change[0] + least
+    level = np.where(green, grey, (
+        wx * (other(grey, 0, 1) + F(0.1875) * bent[0])
+        + wy * (other(grey, 1, 0) + F(0.1875) * bent[1])) / (wx + wy))
+    more = grey - level
+    up, down = (beside(beside(more, s, 0), 0, -1) + beside(beside(more, s, 0), 0, 1)
+                for s in (-1, 1))
+    more_n = np.where(green, other(more, 0, 1), more)
+    more_o = np.where(green, other(more, 1, 0), F(0.25) * (up + down))
+    lights = [np.maximum(mean * of, F(0)) for mean, of in (
+        (n_mean, level + more_n), (green_mean, level), (o_mean, level + more_o))]
+    scale = F(1) / np.maximum((lights[0] + (lights[1] + lights[2])) / F(3), F(1e-20))
+    n, g, o = (np.maximum(one * scale, F(0.02)) for one in lights)
+    tints = np.stack([np.where(red_row, n, o), g, np.where(red_row, o, n)])
     cells = np.array([
         [part[::2, ::2] for part in parts],
         [F(0.5) * part[::2, 1::2] + F(0.5) * part[1::2, ::2] for part in parts],
@@ -78,15 +96,7 @@ def colour_ratios(mosaic):
             for k in range(7))
         return ((a + g) + F(2) * (b + f)) + (F(3) * (c + e) + F(4) * d)
 
-    return means, light / of_own, window(window(cells, 2), 3) / F(256)
-
-
-def colour_tints(grey, means):
-    lights = np.stack([means[0] * grey[0], means[1] * (F(0.5) * (grey[1] + grey[2])),
-                       means[2] * grey[3]])
-    lights = np.maximum(lights, F(0))
-    level = F(1) / np.maximum((lights[0] + (lights[1] + lights[2])) / F(3), F(1e-20))
-    return np.maximum(lights * level, F(0.02))
+    return tints, window(window(cells, 2), 3) / F(256)
 
 
 def factors(tints, parts):
