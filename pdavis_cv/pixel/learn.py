@@ -303,7 +303,11 @@ def _fitted(
     first, *starts = (tried(_changed(one, effect=effect), (), 0)
                       for one in (first, *starts))
     best, law, lag, clock = first, ["f0", "slope"], ["lag"], ["shift", "lag"]
-    slow = tried(first, [*lag, *law])
+    f0, slope = priors.bandwidth
+    start = _with(first, bandwidth=(
+        f0 * math.exp(-4 * priors.bandwidth_sigma[0]), slope))
+    slow = min((tried(one, [*lag, *law]) for one in (first, start)),
+               key=lambda one: one.cost)
     light = float(np.median(pairs.dn / pairs.ms))
     if slow.cost < best.cost - EVIDENCE and _usual(priors, slow.model, light, 0):
         best = slow
