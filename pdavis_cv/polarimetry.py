@@ -24,6 +24,7 @@ from pdavis_cv.stokes_vector import (
     frozen,
     propagated,
     real,
+    sampling_variance,
     solution_of,
     stokes,
 )
@@ -80,9 +81,9 @@ class PolarFrame(Advises):
     """
 
     __slots__ = (
-        "_analyser", "_aop_dolp", "_colours", "_light", "_origin", "_provenance",
-        "_quad", "_quality", "_reconciled", "_sigmas", "_stokes", "_usable", "_valid",
-        "_variance", "extinction_ratio", "frame_us", "t_us")
+        "_analyser", "_aop_dolp", "_colours", "_light", "_origin", "_places_differ",
+        "_provenance", "_quad", "_quality", "_reconciled", "_sigmas", "_stokes",
+        "_usable", "_valid", "_variance", "extinction_ratio", "frame_us", "t_us")
 
     t_us: int | None
     frame_us: int | None
@@ -92,6 +93,7 @@ class PolarFrame(Advises):
     _colours: Mapping[str, Self]
     _quality: NDArray[np.float32] | None
     _reconciled: bool
+    _places_differ: bool    # whether channels are taken at different places
     _origin: PolarFrame | None
     _aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None
     _sigmas: _Sigmas | NDArray[np.float32] | Callable[[], NDArray[np.float32]] | None
@@ -140,7 +142,7 @@ class PolarFrame(Advises):
         self._colours = {}
         self._origin = None     # the image whose cached quantities this one uses
         self._aop_dolp = self._light = self._sigmas = self._stokes = None
-        self._usable = None
+        self._usable, self._places_differ = None, False
         if quad.ndim != 3 or quad.shape[0] != 4:
             raise ValueError(f"quad must have shape (4, H, W), got {quad.shape}")
         if valid is not None and valid.dtype != np.bool_:
@@ -307,8 +309,11 @@ class PolarFrame(Advises):
             self._sigmas = frozen(given[0]), frozen(given[1]), frozen(given[2])
         elif self._variance is not None:
             analyser = self._analyser or Analyser.ideal(self.extinction_ratio)
+            variance = self._variance * self.quad**2
+            if self._places_differ:
+                variance += sampling_variance(self.quad)
             self._sigmas = propagated(
-                self._planes(), analyser.solution, self._variance * self.quad**2,
+                self._planes(), analyser.solution, variance,
                 analyser.null() if self._reconciled else None)
         return self._sigmas if isinstance(self._sigmas, tuple) else None
 
@@ -317,6 +322,7 @@ class PolarFrame(Advises):
             self.quad, self._valid, self.t_us, self.frame_us, self.extinction_ratio,
             self._analyser, self._variance, self._provenance, self._quality,
             self._reconciled), (None, {
+                "_places_differ": self._places_differ,
                 "_sigmas": None if self._sigmas is None else self._propagated(),
                 "_colours": dict(self._colours)})
 
@@ -367,14 +373,15 @@ def adopted(
     quad: NDArray[np.float32], *,
     aop_dolp: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None,
     sigmas: NDArray[np.float32] | Callable[[], NDArray[np.float32]] | None = None,
-    **about: Any,
+    places_differ: bool = False, **about: Any,
 ) -> PolarFrame:
     """Return a PolarFrame that takes ownership of arrays without copying them.
 
     They must be C-contiguous, float32 or bool; they become read-only, and no other code
     may keep references to their memory.  `about` are the parameters of the class.
     Angle and degree may be given if they are known already, and errors: of AoP, of
-    DoLP, and of (S1, S2)/S0 across its direction, or what makes them at first use.
+    DoLP, and of (S1, S2)/S0 across its direction, or what makes them at first use;
+    places_differ: errors that follow from the variances include `sampling_variance`.
     """
     for name, array, dtype in (("quad", quad, np.float32),
                                ("valid", about.get("valid"), np.bool_),
@@ -387,7 +394,7 @@ def adopted(
     frame = _restored_frame(quad, **about)
     if aop_dolp is not None:
         frame._aop_dolp = frozen(aop_dolp[0]), frozen(aop_dolp[1])
-    frame._sigmas = sigmas
+    frame._sigmas, frame._places_differ = sigmas, places_differ
     return frame
 
 

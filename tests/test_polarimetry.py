@@ -1,3 +1,4 @@
+import itertools
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 
@@ -292,6 +293,30 @@ def test_sigmas_agree_with_the_scatter_of_noisy_images():
         np.testing.assert_allclose(
             frame.dolp_debiased, debias_dolp(
                 frame.dolp, 2 * frame.dolp * frame.sigma_aop), rtol=1e-6)
+
+
+def test_sigmas_of_a_mosaic_tell_that_its_channels_are_taken_apart():
+    """An edge within a cell and between two: about a sigma; even light: nothing."""
+    errors, stated = [], []
+    places = (0, 0), (0, 1), (1, 1), (1, 0)
+    for angle, edge in itertools.product(np.linspace(0, np.pi, 12, False), (21, 22)):
+        light = np.where(np.arange(48) < edge, 100.0, 140.0) * np.ones((48, 1))
+        quad = np.stack([
+            malus(light, 0.4, angle, polarizer)[y::2, x::2]
+            for (y, x), polarizer in zip(places, POLARIZERS.ravel(), strict=True)])
+        small = np.full(quad.shape, 1e-6, np.float32)
+        frame, plain = (adopted(quad.astype(np.float32), variance=small,
+                                places_differ=way) for way in (True, False))
+        errors.append(frame.dolp[12, 8:13] - 0.4)
+        stated.append(frame.sigma_dolp[12, 8:13])
+        for part in (slice(None, 8), slice(14, None)):
+            np.testing.assert_array_equal(
+                frame.sigma_dolp[:, part], plain.sigma_dolp[:, part])
+        again = pickle.loads(pickle.dumps(frame))
+        np.testing.assert_array_equal(again.sigma_dolp, frame.sigma_dolp)
+    # Half of the variance of edges: so it is that of even slopes twice.
+    ratio = np.mean(np.square(errors)) / np.mean(np.square(stated))
+    assert ratio == pytest.approx(2, abs=0.4)
 
 
 def test_sigmas_where_nothing_is_polarized_or_lit():

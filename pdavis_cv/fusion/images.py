@@ -107,7 +107,7 @@ class ImageMaker:
             return self._in_one_pass(intensity, estimate.variance, about)
         quad, variance = self._channels(intensity, estimate.variance, estimate.valid)
         return adopted(
-            quad, analyser=self._analyser, variance=variance,
+            quad, analyser=self._analyser, variance=variance, places_differ=True,
             reconciled=variance is not None, **about)
 
     def _in_one_pass(
@@ -130,7 +130,7 @@ class ImageMaker:
                            row_ns=_BILINEAR_NS * intensity.shape[1])
         return adopted(
             quad, analyser=self._analyser, variance=variance, reconciled=True,
-            aop_dolp=(aop, dolp) if polarizes else None, **about)
+            places_differ=True, aop_dolp=(aop, dolp) if polarizes else None, **about)
 
     def _quality(
         self, samples: NDArray[np.float32] | None
