@@ -311,7 +311,7 @@ class PolarFrame(Advises):
             analyser = self._analyser or Analyser.ideal(self.extinction_ratio)
             variance = self._variance * self.quad**2
             if self._places_differ:
-                variance += sampling_variance(self.quad)
+                variance += sampling_variance(self.quad, variance)
             self._sigmas = propagated(
                 self._planes(), analyser.solution, variance,
                 analyser.null() if self._reconciled else None)

@@ -240,18 +240,22 @@ def propagated(
             frozen(across.astype(np.float32)))
 
 
-def sampling_variance(quad: NDArray[np.float32]) -> NDArray[np.float32]:
+def sampling_variance(
+    quad: NDArray[np.float32], noise: NDArray[np.float32],
+) -> NDArray[np.float32]:
     """Return the variance of channels that are taken at different places, (4, H, W).
 
     Where light changes over the mosaic, the four do not see the same.  By how much
-    follows from the differences of each value from its four neighbours: see
-    docs/theory/demosaicing.md.
+    follows from the differences of each value from its four neighbours, less what
+    their noise makes of them, variances of the same shape: docs/theory/demosaicing.md.
     """
     total = np.zeros_like(quad)
     for axis in (1, 2):
         edge = [(0, 0)] * 3
         edge[axis] = (1, 1)
-        square = np.pad(np.diff(quad, axis=axis)**2, edge) / 16
+        first, last = (np.delete(noise, at, axis) for at in (-1, 0))
+        square = np.maximum(np.diff(quad, axis=axis)**2 - first - last, 0) / 16
+        square = np.pad(square, edge)
         total += np.delete(square, 0, axis) + np.delete(square, -1, axis)
     return total
 

@@ -94,8 +94,9 @@ def test_a_complete_calibration_takes_the_pixels_differences_out(
     score = scored(*recorded["nominal"], mode=mode, calibration=calibration)
     assert score.aop < np.deg2rad(aop_deg)
     assert score.dolp < dolp
-    # Sigmas are those of learned noise, which is cautious where the light is simple.
-    assert 0.55 < score.aop_coverage < 0.97
+    # Sigmas are those of learned noise, which is cautious where the light is simple,
+    # and what pixels differ in looks like light that does.
+    assert 0.55 < score.aop_coverage < 0.995
     assert score.dolp_coverage > 0.5
 
 
