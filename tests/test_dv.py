@@ -143,7 +143,7 @@ def test_how_the_bytes_arrive_does_not_matter(compression, most):
 
 
 def test_frames_far_ahead_of_the_events_are_not_kept(monkeypatch):
-    monkeypatch.setattr("pdavis_cv.live.dv.MOST_BYTES", 10 * 4 * 12 * 14)
+    monkeypatch.setattr("pdavis_cv.live.dv.MOST_BYTES", 10 * (1024 + 4 * 12 * 14))
     info = recording_from_arrays(
         random_events(9, (12, 14), stop_us=99), [ApsFrame(
             np.ones((12, 14), np.float32), 1, 2)], sensor_size=(12, 14)).info
@@ -164,6 +164,25 @@ def test_frames_far_ahead_of_the_events_are_not_kept(monkeypatch):
     assert [(one.kind, one.count) for one in source.problems] == [("frames ahead", 90)]
     for theirs, _ in pairs:
         theirs.close()
+
+
+def test_a_header_that_drips_is_not_waited_for(monkeypatch):
+    monkeypatch.setattr("pdavis_cv.live.dv.CONNECT_S", 0.2)
+    theirs, ours = socket.socketpair()
+
+    def drip():
+        with theirs, contextlib.suppress(OSError):
+            theirs.sendall(struct.pack("<I", 100_000))
+            for _ in range(PATIENCE_S * 100):
+                theirs.sendall(b"x")
+                threading.Event().wait(0.01)
+
+    thread = threading.Thread(target=drip, daemon=True)
+    thread.start()
+    with pytest.raises(DeviceError, match="its header takes too long"):
+        DvSource("pair", [ours])
+    ours.close()
+    thread.join(PATIENCE_S)
 
 
 def test_a_packet_that_stops_half_way_does_not_stop_time(monkeypatch):

@@ -60,6 +60,8 @@ MARGIN_US = 100_000
 the network delays them.  The stream's time then follows the host's by this much."""
 _MOST_WAITING = 2
 """Packets that may wait to be decoded; then the sender waits."""
+_FRAME_BYTES = 1 << 10
+"""Memory of a frame beside its pixels."""
 _PACKET = struct.Struct("<ii")
 _Item = tuple[str, memoryview, str] | DeviceError | None
 """Kind, payload and compression of a packet; an error, or None, ends a connection."""
@@ -70,6 +72,7 @@ class _Connection:
 
     def __init__(self, link: socket.socket, name: str) -> None:
         self.link, self.name = link, name
+        self._due_s: float | None = time.monotonic() + CONNECT_S
         size = int.from_bytes(self._exactly(4), "little")
         if not 16 <= size <= MAX_HEADER:
             raise DeviceError(f"{name}: this is no dv stream: its header cannot be "
@@ -83,6 +86,7 @@ class _Connection:
             raise DeviceError(f"{name}: the header names no stream")
         self.streams: dict[int, Stream] = streams
         link.settimeout(None)
+        self._due_s = None
 
     def _received(self, count: int) -> memoryview:
         """Return the next bytes; fewer only if the sender closed the connection."""
@@ -90,6 +94,8 @@ class _Connection:
         data, done = np.empty(count, np.uint8).data, 0
         while done < count and (got := self.link.recv_into(data[done:])):
             done += got
+            if self._due_s is not None and time.monotonic() > self._due_s:
+                raise DeviceError(f"{self.name}: its header takes too long")
         return data[:done]
 
     def _exactly(self, count: int) -> bytes:
@@ -201,8 +207,8 @@ class DvSource(LiveSource):
                 yield from self._of_events(table.data, *table.vector(0, samples.EVENT))
             elif kind == "FRME":
                 self._held.append(self._frame(table))
-                while len(self._held) > 1 and MOST_BYTES < 4 * sum(
-                        math.prod(frame.shape) for frame in self._held):
+                if len(self._held) > max(1, MOST_BYTES // (
+                        _FRAME_BYTES + 4 * math.prod(self.info.sensor_size))):
                     self._held.popleft()
                     self._log.add("frames ahead", None, "frames were dropped that came "
                                   "too far ahead of the events")
