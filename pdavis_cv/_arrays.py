@@ -7,11 +7,12 @@ import os
 import sys
 import warnings
 import zipfile
-from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pdavis_cv._remote import as_path
 
 _ZIP = b"PK\x03\x04"
 MOST_HEADER = 10_000
@@ -52,7 +53,7 @@ def read_arrays(
     `most_bytes` bounds all arrays together: a few kilobytes can unpack to 1000 times as
     much.  A file of another format or a damaged one is a ValueError.
     """
-    with Path(path).open("rb") as source:
+    with as_path(path).open("rb") as source:
         data = source.read(len(_ZIP))
         if data == _ZIP:        # /dev/zero has no end
             data += source.read(most_bytes)

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import os
 from typing import Any
 
 
@@ -23,6 +24,16 @@ def opencv() -> Any:
             "this needs OpenCV, which comes as an extra because its four wheels "
             "exclude each other: pip install opencv-contrib-python-headless, or any "
             "OpenCV wheel that you already use") from error
+
+
+def opencv_name(path: str | os.PathLike[str]) -> str:
+    """Return a path as a text; OSError if it is no UTF-8, at which OpenCV crashes."""
+    name = os.fspath(path)
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        raise OSError(f"{name}: OpenCV opens only names in UTF-8") from None
+    return name
 
 
 def native_capture() -> Any:

@@ -27,13 +27,19 @@ def is_remote(path: object) -> bool:
 
 
 def as_path(path: str | os.PathLike[str]) -> Path:
-    """Return a Path, or for a URL a RemotePath, which readers accept as well."""
+    """Return a Path, or for a URL a RemotePath, which readers accept as well.
+
+    A pipe, which may never end, a device or a socket is a RecordingError.
+    """
     if is_remote(path):
         return cast("Path", RemotePath(str(path)))
     text = os.fspath(path)
     if isinstance(text, str) and "\0" in text:
         raise RecordingError(f"{text!r}: a path cannot hold a null character")
-    return Path(text.removeprefix("file://") if isinstance(text, str) else text)
+    found = Path(text.removeprefix("file://") if isinstance(text, str) else text)
+    if os.path.exists(found) and not (found.is_file() or found.is_dir()):
+        raise RecordingError(f"{found}: neither a file nor a folder")
+    return found
 
 
 class RemotePath(PurePosixPath):

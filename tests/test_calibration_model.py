@@ -61,7 +61,7 @@ def test_a_file_of_an_earlier_version_has_no_uncertainty_of_the_bandwidth(tmp_pa
 
 @pytest.mark.parametrize(("name", "value"), [
     ("theta", [0.2]), ("noise", [1.0, float("nan"), 2.0]), ("theta", None),
-    ("rest_s", "long"), (None, "none"), (None, {})])
+    ("rest_s", "long"), (None, "none"), (None, {}), ("layout", "x"), ("layout", [[]])])
 def test_a_damaged_model_is_refused(tmp_path, name, value):
     path = full().save(tmp_path / "camera.npz")
     with np.load(path) as data:
@@ -69,6 +69,8 @@ def test_a_damaged_model_is_refused(tmp_path, name, value):
     head = json.loads(str(arrays.pop("head")))
     if name is None:
         head["learned"]["model"] = value
+    elif name == "layout":
+        head[name] = value
     else:
         head["learned"]["model"][name] = value
     np.savez(path, head=np.array(json.dumps(head)), **arrays)

@@ -29,6 +29,7 @@ from pdavis_cv._text import (
     table_text,
 )
 from pdavis_cv.data import example_recording
+from pdavis_cv.render.legends import caption
 from pdavis_cv.tools import main
 from pdavis_cv.tools._calibration_report import Page, write_report
 
@@ -145,3 +146,12 @@ def test_a_name_is_no_formula_in_a_figure(name, tmp_path):
     assert shown._preprocess_math(plain)[1] is False
     assert shown._preprocess_math(plain)[0].strip() == name.replace("\x1b", r"\x1b")
     assert write_report(tmp_path / "a.png", Page(name, [name]))
+
+
+def test_text_that_is_no_utf8_is_drawn_and_does_not_crash():
+    picture = np.zeros((40, 200, 3), np.uint8)
+    other = picture.copy()
+    width = caption(picture, "a\udcff", 4, 20, 255)
+    assert width == caption(other, r"a\udcff", 4, 20, 255)
+    np.testing.assert_array_equal(picture, other)
+    assert picture.any()

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv._remote import as_path
+
 FloatArray = NDArray[np.float64]
 
 _UNITS = {
@@ -114,7 +116,7 @@ def read_load(path: str | Path) -> LoadTrace:
     OSError
         If the file cannot be read.
     """
-    path = Path(path)
+    path = as_path(path)
     try:
         text = path.read_text("utf-8-sig")
     except UnicodeDecodeError:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._packages import package
+from pdavis_cv._remote import as_path
 
 _MOST_BYTES = 1 << 26
 """Largest size of all regions of an archive, bytes; one has a few hundred."""
@@ -235,11 +236,11 @@ def read_rois(path: str | Path) -> list[Roi]:
     OSError
         If the file cannot be read.
     """
-    if Path(path).suffix.lower() in (".json", ".geojson"):
-        return _from_geojson(Path(path))
+    path = as_path(path)
+    if path.suffix.lower() in (".json", ".geojson"):
+        return _from_geojson(path)
     roifile = package(
         "roifile", "reading Fiji regions needs roifile: pip install roifile")
-    path = Path(path)
     with path.open("rb") as file:
         magic = file.read(4)
     try:

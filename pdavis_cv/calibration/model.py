@@ -298,7 +298,8 @@ class Calibration:
             raise
         except FileNotFoundError:
             raise
-        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        except (OSError, ValueError, LookupError, TypeError,
+                RecursionError) as error:
             raise CalibrationError(
                 f"{path}: not a calibration file, or damaged: {error}") from None
         try:
@@ -313,6 +314,6 @@ class Calibration:
                 layout=None if cell is None else Layout(
                     tuple(cell[0]), tuple(cell[1]), colours=head["colours"]),
                 learned=learned, **{name: head[name] for name in _NUMBERS}, **planes)
-        except (KeyError, TypeError, ValueError, AttributeError,
+        except (LookupError, TypeError, ValueError, AttributeError,
                 OverflowError) as error:
             raise CalibrationError(f"{path}: damaged: {error}") from None

@@ -12,7 +12,7 @@ from typing import Any, NoReturn, Self, Unpack, overload
 import numpy as np
 
 from pdavis_cv._advice import Advises
-from pdavis_cv._opencv import native_capture
+from pdavis_cv._opencv import native_capture, opencv_name
 from pdavis_cv._options import names_options
 from pdavis_cv._types import Image
 from pdavis_cv.capture.constants import CAP_PDAVIS_BGR
@@ -241,11 +241,12 @@ class VideoCapture(Advises):
             return self._fail(function, f"{source!r}: no file has so long a number")
         try:
             foreign = native_capture()()
-        except ImportError as error:
+            name = opencv_name(source) if isinstance(
+                source, str | os.PathLike) else source      # OpenCV 4.6 takes no Path
+        except (ImportError, OSError) as error:
             return self._fail(function, str(error))
         arguments = (backend, [int(v) for v in values]) if values else (backend,)
-        opened = foreign.open(os.fspath(source) if isinstance(
-            source, os.PathLike) else source, *arguments)   # OpenCV 4.6 takes no Path
+        opened = foreign.open(name, *arguments)
         if not opened:
             return self._fail(function, f"cv2.VideoCapture cannot open {source!r}")
         foreign.setExceptionMode(self._exceptions)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv._beside import write_beside
-from pdavis_cv._opencv import opencv, set_log_level
+from pdavis_cv._opencv import opencv, opencv_name, set_log_level
 from pdavis_cv._types import Facts, Image
 from pdavis_cv.export.embedded import embed, embed_png
 from pdavis_cv.export.files import SeriesFile
@@ -61,7 +61,7 @@ class VideoFile(SeriesFile):
         facts: Facts | None = None,
     ) -> None:
         self.facts = facts
-        self.path = Path(path)
+        self.path = Path(opencv_name(path))
         suffix = self.path.suffix.lower()
         if suffix not in _CODECS:
             raise ValueError(

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from pdavis_cv import _kernels
 from pdavis_cv._packages import package
+from pdavis_cv._remote import as_path
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.recording.aedat4.samples import EIGHT_BIT_DN, TEN_BIT_DN
@@ -286,8 +287,7 @@ class RosRecording(PiecewiseRecording):
         """
         if self._path.is_dir():
             for one in self._path.iterdir():
-                if one.exists() and not (one.is_file() or one.is_dir()):
-                    raise RecordingError(f"{one}: neither a file nor a folder")
+                as_path(one)
             return True
         with self._path.open("rb") as file:
             start = file.read(16)

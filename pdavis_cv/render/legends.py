@@ -13,6 +13,7 @@ import numpy as np
 
 from pdavis_cv._checks import some, whole_number
 from pdavis_cv._opencv import opencv
+from pdavis_cv._text import shown
 from pdavis_cv._types import Image
 from pdavis_cv.render.colours import (
     FULL_COLOUR_DOLP,
@@ -283,7 +284,7 @@ def caption(picture: Picture, text: str, x: int, y: int, grey: int = 235,
     zoom = whole_number("zoom", zoom, 1, 64)
     x, y, grey = (whole_number(name, value, -MOST_PIXELS, MOST_PIXELS)
                   for name, value in (("x", x), ("y", y), ("grey", grey)))
-    cv2.putText(checked_picture(picture), text, (x, y), cv2.FONT_HERSHEY_SIMPLEX,
+    cv2.putText(checked_picture(picture), shown(text), (x, y), cv2.FONT_HERSHEY_SIMPLEX,
                 0.42 * zoom, (grey, grey, grey), zoom, cv2.LINE_AA)
     return text_width(text, zoom)
 
@@ -292,7 +293,8 @@ def caption(picture: Picture, text: str, x: int, y: int, grey: int = 235,
 def text_width(text: str, zoom: int = 1) -> int:
     """Return the width of a line of text in pixels."""
     cv2 = opencv()
-    return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.42 * zoom, zoom)[0][0])
+    return int(cv2.getTextSize(
+        shown(text), cv2.FONT_HERSHEY_SIMPLEX, 0.42 * zoom, zoom)[0][0])
 
 
 def _line(text: str, style: Style, left: int = 4) -> Picture:

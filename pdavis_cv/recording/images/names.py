@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from pdavis_cv._remote import as_path
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.sensor import CHANNELS
 
@@ -55,6 +56,8 @@ def names_of(source: str) -> list[str]:
         names = natural_order(glob.glob(source))
     if not names:
         raise RecordingError(f"{source}: cannot be opened: no such file")
+    for name in names:
+        as_path(name)
     return names
 
 

@@ -103,17 +103,18 @@ class StillPicture(Pictures):
             width, height = _sides(file)
             if self._png:
                 _check_chunks(file, self._path)
-            if self.facts.lossy:
-                file.seek(0)
-                if file.read().count(b"\xff\xda") > _MOST_SCANS:
-                    raise RecordingError(
-                        f"{self._path}: a JPEG of more than {_MOST_SCANS} scans")
+            self._budget.piece(file.seek(0, os.SEEK_END), "an image file")
+            file.seek(0)
+            data = file.read()
+            if self.facts.lossy and data.count(b"\xff\xda") > _MOST_SCANS:
+                raise RecordingError(
+                    f"{self._path}: a JPEG of more than {_MOST_SCANS} scans")
         if not width * height:      # cv2 would decode what the name does not say
             raise RecordingError(
                 f"{self._path}: the image cannot be decoded: of no kind that is read")
         self._budget.piece(_PIXEL * width * height, f"{width}x{height} pixels")
         with readable(self._path, "picture"):
-            image = cv2.imread(self._path, cv2.IMREAD_UNCHANGED)
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
         if image is None:
             raise RecordingError(f"{self._path}: the image cannot be decoded")
         yield None, one_plane(image, self._path)

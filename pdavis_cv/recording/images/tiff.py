@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv._opencv import opencv
+from pdavis_cv._opencv import opencv, opencv_name
 from pdavis_cv._packages import package
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.file_reader import FileReader
@@ -212,8 +212,9 @@ def _by_opencv(path: str, pages: Sequence[Any]) -> Callable[[int], NDArray[Any]]
     def page_at(n: int) -> NDArray[Any]:
         if n not in decoded:
             decoded.clear()
-            _, found = cv2.imreadmulti(path, start=n, count=min(batch, len(pages) - n),
-                                       flags=cv2.IMREAD_UNCHANGED)
+            _, found = cv2.imreadmulti(
+                opencv_name(path), start=n, count=min(batch, len(pages) - n),
+                flags=cv2.IMREAD_UNCHANGED)
             decoded.update(enumerate(found, n))
         if n not in decoded:
             raise RecordingError(
