@@ -123,10 +123,10 @@ def test_arrays_that_do_not_fit_are_an_error():
     '{"array": [0, [1, -1], 0, true]}', '{"array": [99, [1], 0, true]}',
     '{"array": [0, [1000000000000000], 0, true]}', '{"array": 1}', '{"Path": []}',
     '{"Packet": [["x", 1]]}', '{"tuple": [], "dict": []}', '{"dict": [[[], 1]]}', "{}",
-    "[" * 100_000])
+    "[" * 100_000, f'{{"array": [0, [{2**70}], 0, true]}}'])
 def test_what_is_no_answer_is_refused(text):
-    with pytest.raises((ValueError, TypeError, LookupError, RecursionError,
-                        MemoryError)):
+    with pytest.raises((ValueError, TypeError, LookupError, ArithmeticError,
+                        RecursionError, MemoryError)):
         wire.read(text.encode(), memoryview(bytearray(100)))
 
 
@@ -191,6 +191,9 @@ def test_it_writes_to_temporary_files_which_go_with_it(reads):
     ("os._exit(1)", "process that reads it ended"),
     ("1 / 0", "division by zero"),
     ("for fd in range(3, 999):\n    try: os.write(fd, bytes([4] + 7 * [0]) + b'junk')\n"
+     "    except OSError: pass", "sent no answer"),
+    ("t = b'{\"array\": [0, [%d], 0, true]}' % 2**70\nfor fd in range(3, 999):\n"
+     "    try: os.write(fd, bytes([len(t)] + 7 * [0]) + t)\n"
      "    except OSError: pass", "sent no answer"),
     ("for fd in range(3, 999):\n    try: os.write(fd, 8 * bytes([127]))\n"
      "    except OSError: pass\nimport time; time.sleep(60)", "it ended")])

@@ -137,8 +137,8 @@ class IsolatedRecording(Recording):
                     wire.receive(self._hears, _MOST_TEXT), memoryview(self._memory))
             except (EOFError, OSError):
                 raise self._died() from None
-            except (ValueError, TypeError, LookupError, RecursionError,
-                    MemoryError) as bad:
+            except (ValueError, TypeError, LookupError, ArithmeticError,
+                    RecursionError, MemoryError) as bad:
                 raise RecordingError(f"{self._where()}: the process that reads it sent "
                                      f"no answer: {bad}") from bad
             except BaseException:       # an interrupt: the answer is still to come

@@ -121,7 +121,7 @@ def read(text: bytes, memory: memoryview) -> Any:
 
     Raises
     ------
-    ValueError, TypeError, LookupError, RecursionError, MemoryError
+    ValueError, TypeError, LookupError, ArithmeticError, RecursionError, MemoryError
         If it is something else.
     """
     def copied(count: int, dtype: np.dtype[Any], at: int) -> NDArray[Any]:
