@@ -1,6 +1,7 @@
 """Many recordings: names, rows, failures, and what a run leaves behind."""
 import csv
 import json
+import os
 import shutil
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -457,3 +458,23 @@ def test_settings_of_the_work_reach_it(three, tmp_path):
                  "quantities=aop", "--with", "stop_s=0.05"]) == 0
     names = Results(out).names()
     assert (out / names[0] / "images.h5").exists()
+
+
+@pytest.mark.parametrize("text", [
+    "", "null", "[]", "{}", '{"row": {}}', '{"row": []}', "[" * 100_000, "\ufeff{}",
+    '{"row": {"state": "done"}}', "pipe"])
+def test_a_damaged_marker_is_a_job_that_failed_and_is_done_again(
+        text, three, tmp_path):
+    before = [dict(row) for row in run(three, tmp_path / "out")]
+    marker = next((tmp_path / "out").glob("*.json"))
+    marker.unlink()
+    if text == "pipe":
+        os.mkfifo(marker)
+    else:
+        marker.write_text(text)
+    table = batch.status(tmp_path / "out")
+    table.write()
+    assert [row["error"] for row in table.failed] == ["its marker is damaged"]
+    again = run(three, tmp_path / "out")
+    assert [row["state"] for row in again] == ["done"] * len(before)
+    assert json.loads(marker.read_text())["row"]["state"] == "done"

@@ -11,8 +11,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pdavis_cv._beside import remove, write_beside
-from pdavis_cv._remote import RemotePath, is_remote
+from pdavis_cv._remote import RemotePath, as_path, is_remote
 from pdavis_cv._types import Facts
+from pdavis_cv.errors import RecordingError
 from pdavis_cv.export.files import write_json
 from pdavis_cv.recording.members import members_of
 
@@ -23,6 +24,12 @@ except ImportError:  # Windows: two runs at the same time may both do a job
 
 DONE, FAILED = "done", "failed"
 _TRIES = 10
+_DAMAGED: Facts = {
+    **dict.fromkeys(("recording", "name", "attempt", "wall_s", "cpu_s", "peak_mib",
+                     "started", "host", "version")),
+    "state": FAILED, "error": "its marker is damaged", "options": {}, "figures": {},
+    "problems": 0, "warnings": [], "files": []}
+"""The row of a job whose marker is none."""
 
 
 class Claim:
@@ -64,15 +71,26 @@ class Results:
     # ---- reading -------------------------------------------------------------
 
     def marker(self, name: str) -> Facts | None:
-        """Return the content of a job's marker, None if there is none."""
+        """Return the content of a job's marker, None if there is none.
+
+        A damaged one, or another file, is that of a job that failed.
+        """
         try:
             facts: Facts = json.loads(self._read(f"{name}.json"))
+            row = facts["row"]
+            if row.keys() >= _DAMAGED.keys() and row["state"] in (DONE, FAILED) and all(
+                    value is None or isinstance(row[one], type(value))
+                    for one, value in _DAMAGED.items()):
+                return facts
         except FileNotFoundError:
             return None
-        return facts
+        except (RecordingError, ValueError, TypeError, LookupError, AttributeError,
+                RecursionError):
+            pass
+        return {"row": {**_DAMAGED, "recording": name, "name": name}}
 
     def _read(self, name: str) -> bytes:
-        return (self.out / name).read_bytes()
+        return as_path(self.out / name).read_bytes()
 
     def _write(self, name: str, facts: Facts) -> None:
         write_json(self.out / name, facts)

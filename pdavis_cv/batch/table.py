@@ -162,7 +162,8 @@ def _cell(value: Any) -> Any:
 
 def _html_row(row: Row, cells: Sequence[Any]) -> str:
     name = row["name"]
-    picture = next((file for file in row["files"] if file.endswith(_PICTURE)), None)
+    picture = next((file for file in map(str, row["files"])
+                    if file.endswith(_PICTURE)), None)
     shown = "" if picture is None else (
         f'<a href="{page_text(name)}/{page_text(picture)}"><img loading="lazy" '
         f'alt="" src="{page_text(name)}/{page_text(picture)}"></a>')
