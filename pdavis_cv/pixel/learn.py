@@ -304,10 +304,9 @@ def _fitted(
                       for one in (first, *starts))
     best, law, lag, clock = first, ["f0", "slope"], ["lag"], ["shift", "lag"]
     f0, slope = priors.bandwidth
-    start = _with(first, bandwidth=(
-        f0 * math.exp(-4 * priors.bandwidth_sigma[0]), slope))
-    slow = min((tried(one, [*lag, *law]) for one in (first, start)),
-               key=lambda one: one.cost)
+    slowest = f0 * math.exp(-4 * priors.bandwidth_sigma[0]), slope
+    slow = min((tried(one, [*lag, *law]) for one in (
+        first, _with(first, bandwidth=slowest))), key=lambda one: one.cost)
     light = float(np.median(pairs.dn / pairs.ms))
     if slow.cost < best.cost - EVIDENCE and _usual(priors, slow.model, light, 0):
         best = slow
@@ -336,8 +335,7 @@ def _fitted(
             _losses(data, pairs, one) for one in (best, other))
         gain = np.bincount(pairs.pair, np.where(steady, without - within, 0))
         enough = -1 if black else 1         # evidence against what was found before
-        sigma = math.sqrt(len(gain)) * gain.std()
-        clearly = gain.sum() > enough * LOSS_OF_BLACK * sigma
+        clearly = gain.sum() > enough * LOSS_OF_BLACK * np.sqrt(len(gain)) * gain.std()
         usual = other.model.black * ms > LEAST_BLACK
         if usual and clearly and other.cost < best.cost - enough * EVIDENCE_OF_BLACK:
             best = other

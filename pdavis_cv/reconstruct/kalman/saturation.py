@@ -92,16 +92,10 @@ class Saturated:
         null_of(self.response, shape)  # refuses an impossible response
 
     def _make(self, pixels: NDArray[np.intp], level: float, dim: bool) -> None:
-        """Set up the virtual sensor.
+        """Set up the virtual sensor of n macropixels, flat sensor indices (4, n).
 
-        Parameters
-        ----------
-        pixels : ndarray of intp, shape (4, n)
-            Flat sensor indices of n macropixels.
-        level : float
-            Log intensity that sets the speed of their photoreceptors.
-        dim : bool
-            Whether most of their bad samples are dim, not saturated.
+        level is the log intensity that sets the speed of their photoreceptors; dim,
+        whether most of their bad samples are dim, not saturated.
         """
         self._pixels, self._level, self._dim = pixels, level, dim
         self._filled = None
