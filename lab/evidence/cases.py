@@ -237,8 +237,8 @@ NAMED = (
 QUICK = (
     *NAMED, ("polarizer-200-1", "nominal"), ("plate-1000-1", "nominal"),
     ("polarizer-20-0.1", "typical"), ("plate-60-0.5", "realistic"),
-    ("texture-600", "davis346"), ("edges-60-pixels", "typical"), ("sharp-60-pixels", "typical"),
-    ("texture-200-pixels", "typical"),
+    ("texture-600", "davis346"), ("edges-60-pixels", "typical"),
+    ("sharp-60-pixels", "typical"), ("texture-200-pixels", "typical"),
     ("fan-dark", "typical"), ("fan-bright", "typical"), ("dark-60", "typical"),
     ("flicker-200", "typical"), ("still-50", "typical"),
     ("still-after-turn", "nominal"), ("black-80-60-0.5", "typical"),
