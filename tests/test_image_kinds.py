@@ -1,7 +1,6 @@
 """Images of other writers: what they state, and four planes of each time."""
 import contextlib
 import json
-import os
 import re
 import shutil
 import warnings
@@ -585,36 +584,3 @@ def test_public_stills(public, tmp_path):
     assert [frame.dn.sum(dtype=float) for frame in frames] == [12_249_188, 12_251_228]
     shutil.copy(public / "start3" / "shot_0003.png", tmp_path / "shot_0005.png")
     assert not VideoCapture(tmp_path / "shot_%04d.png", layout=SONY).isOpened()
-
-
-@pytest.mark.skipif(os.name != "posix", reason="names are text elsewhere")
-def test_names_that_are_no_utf8_are_read_or_refused(tmp_path):
-    picture = np.arange(1024, dtype=np.uint16).reshape(32, 32)
-    data = cv2.imencode(".png", picture)[1].tobytes()
-    for name in (b"\xff1.png", b"\xff2.png"):
-        path = os.fsdecode(os.fsencode(tmp_path) + b"/" + name)
-        with open(path, "wb") as file:
-            file.write(data)
-    frames, _ = read(path)
-    np.testing.assert_array_equal(frames[0].dn, picture)
-    assert len(read(str(tmp_path / "*.png"))[0]) == 2
-    with pytest.raises(OSError, match="OpenCV opens only names in UTF-8"):
-        p.export.VideoFile(path.replace("png", "avi"), 25)
-    capture = VideoCapture(path)
-    assert not capture.isOpened()
-    assert "UTF-8" in capture.last_error
-
-
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="of POSIX")
-@pytest.mark.parametrize("name", ["a.aedat4", "a.csv", "a.png", "a.h5", "a.npz"])
-def test_a_pipe_is_no_recording_and_is_not_waited_for(tmp_path, name):
-    os.mkfifo(tmp_path / name)
-    for source in (tmp_path / name, [tmp_path / name, tmp_path / name],
-                   *([tmp_path / "*.png"] if name == "a.png" else [])):
-        with pytest.raises(RecordingError, match="neither a file nor a folder"):
-            open_recording(source, layout=SONY)
-    os.rename(tmp_path / name, tmp_path / "a.geojson")
-    for read_other in (p.analysis.read_rois, p.Calibration.load,
-                       p.analysis.read_load):
-        with pytest.raises(p.PdavisError, match="neither a file nor a folder"):
-            read_other(tmp_path / "a.geojson")
