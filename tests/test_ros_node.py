@@ -199,3 +199,33 @@ def test_the_launch_file_names_the_parameters_of_the_node(root, monkeypatch):
     assert all(f'("{name}", ' in source for name in types)
     package = (folder / "package.xml").read_text()
     assert "<name>pdavis_ros</name>" in package
+
+
+def test_images_far_ahead_hold_up_no_others_and_short_ones_are_refused(
+        package, messages):
+    from pdavis_ros.fuser import Fuser
+
+    def ahead(message, **changes):
+        stamp = SimpleNamespace(sec=4_000_000_000, nanosec=0)
+        return SimpleNamespace(**{
+            **{name: getattr(message, name) for name in (
+                "encoding", "is_bigendian", "height", "width", "data")},
+            "header": SimpleNamespace(stamp=stamp), **changes})
+
+    fuser, other = (Fuser(fps=50, method="frames") for _ in range(2))
+    first = next(one for topic, one in messages if topic.endswith("/image_raw"))
+    begin = 1 + next(
+        k for k, (topic, _) in enumerate(messages) if topic.endswith("/events"))
+    found, wanted = fed(fuser, messages[:begin]), fed(other, messages[:begin])
+    for _ in range(150):
+        assert not fuser.image(ahead(first))
+    assert fuser.dropped == 50
+    found += fed(fuser, messages[begin:])
+    wanted += fed(other, messages[begin:])
+    assert [one.t_us for one in found] == [one.t_us for one in wanted]
+    np.testing.assert_array_equal(found[-1].s0, wanted[-1].s0)
+    for data in (b"", bytes(first.data)[:-1], bytes(first.data)[:-first.height]):
+        with pytest.raises(ValueError, match="bytes are no image of"):
+            fuser.image(ahead(first, data=data))
+    fuser.close()
+    other.close()

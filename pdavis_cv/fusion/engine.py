@@ -75,8 +75,11 @@ class Fusion(Advises):
     provenance : mapping of str to object
         Software, options and parameters that produce the images, as in every
         PolarFrame; the method's parameters are those in use at the last image.
+    index : int
+        Number of the next image; a larger one leaves out those before.
     """
 
+    index: int
     method: str
     needs: Needs
     layout: Layout
@@ -203,11 +206,6 @@ class Fusion(Advises):
         return 0 if start is None else grid_count(stop - start, self.fps)
 
     @property
-    def index(self) -> int:
-        """Number of the next image."""
-        return self._index
-
-    @property
     def t_us(self) -> int | None:
         """Time of the last image, None before the first."""
         return self._t
@@ -223,7 +221,7 @@ class Fusion(Advises):
         if t is None:
             return False
         self._advance_to(t)
-        self._index += 1
+        self.index += 1
         self._t = t
         return True
 
@@ -284,7 +282,7 @@ class Fusion(Advises):
         if self._state is None or self._feed is None:
             return FusionSnapshot(start_us=self._grid_start)
         return FusionSnapshot(
-            self._index, self._grid_start, self._state.committed_us, self._t,
+            self.index, self._grid_start, self._state.committed_us, self._t,
             self._state.snapshot(), tuple(self._frames), self._feed.reached_us,
             None if self._lamp is None else self._lamp.state(),
             None if self._online is None else self._online.state(),
@@ -316,7 +314,7 @@ class Fusion(Advises):
         if snapshot.clipping is not None:
             self._corrected.clipping = snapshot.clipping
         self._frames.extend(snapshot.frames)
-        self._index = snapshot.index
+        self.index = snapshot.index
         self._open_feed(snapshot.fed_us, max((mid for mid, _ in snapshot.frames),
                                              default=None), snapshot.reached_us)
         self._t, self._start_found = snapshot.t_us, True
@@ -379,14 +377,14 @@ class Fusion(Advises):
 
     def _next_time(self) -> int | None:
         if self._times is not None:
-            return (int(self._times[self._index]) if self._index < len(self._times)
+            return (int(self._times[self.index]) if self.index < len(self._times)
                     else None)
         if not self._start_found:
             self._find_start()
         assert self._feed is not None
         if self._fps is not None:
             start = self._grid_start
-            t = None if start is None else start + grid_us(self._index, self._fps)
+            t = None if start is None else start + grid_us(self.index, self._fps)
         else:
             t = self._next_frame_mid(self._feed)
         stop = self.options.stop_us
@@ -430,7 +428,7 @@ class Fusion(Advises):
 
     def _reset(self) -> None:
         """Return to the position before the first image; nothing is read."""
-        self._index, self._t = 0, None
+        self.index, self._t = 0, None
         self._frames: deque[tuple[int, int]] = deque()
         self._feed: Feed | None = None
         self._start_found = False       # whether `_find_start` was called

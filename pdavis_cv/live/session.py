@@ -262,7 +262,7 @@ class Session:
         if not self._fusion.advance():
             return False
         if self._is_late():
-            self._skipped += 1
+            self._skipped += not self._skip()
             return True
         image = self._fusion.image()
         self._last_image_s = time.monotonic()
@@ -282,6 +282,20 @@ class Session:
             return False
         waited = time.monotonic() - self._last_image_s
         return newest - t > 1e6 / float(rate) and waited < LEAST_IMAGES_S
+
+    def _skip(self) -> bool:
+        """Skip this image and those after it but the last 64, if there are more.
+
+        After a pause, which may be years if one time is wrong, they are not looked at.
+        """
+        t, newest, rate = self._fusion.t_us, self._inbox.newest_us, self._fusion.fps
+        if t is None or newest is None or rate is None:
+            return False
+        count = int((newest - t) * float(rate) / 1e6 - MOST_PUSHED)
+        if count > 0:
+            self._skipped += count
+            self._fusion.index += count - 1
+        return count > 0
 
     def _be_cheaper(self) -> None:
         """Change to a cheaper method, unless the caller stated the method."""
@@ -370,11 +384,7 @@ class Session:
     def _known(self) -> Iterator[PolarFrame]:
         try:
             while self._fusion.advance():
-                t, newest, rate = (
-                    self._fusion.t_us, self._inbox.newest_us, self._fusion.fps)
-                if rate and t is not None and newest is not None and (
-                        newest - t > MOST_PUSHED * 1e6 / float(rate)):
-                    self._skipped += 1
+                if self._skip():
                     continue
                 image = self._fusion.image()
                 self._made.add(1)

@@ -1,7 +1,7 @@
 """From messages to images: all of the node that needs no ROS."""
 from __future__ import annotations
 
-from collections import deque
+from bisect import insort
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from pdavis_cv.recording.options import SourceOptions
 QUANTITIES = ("s0", "aop", "dolp")
 HORIZON_US = 500_000
 """Longest time by which images wait for events, us."""
+_MOST_WAITING = 100
+"""Images that may wait: of that time, at twice the rate of the fastest cameras."""
 _IMAGES = {"mono8": ("u1", 4, 1020), "8UC1": ("u1", 4, 1020),
            "mono16": ("<u2", 1, 1023), "16UC1": ("<u2", 1, 1023)}
 """Dtype, DN of a step and full scale; 8 bits are the upper ones of 10."""
@@ -42,7 +44,7 @@ class Fuser:
         self._session = None
         self._size = None
         self._last_us = self._events_us = None
-        self._frames = deque()
+        self._frames = []       # by their time
         self.dropped = 0
 
     def events(self, message):
@@ -90,13 +92,19 @@ class Fuser:
             raise ValueError(f"images of {message.width}x{message.height} do not fit "
                              f"the sensor of {size[1]}x{size[0]}")
         kind, step, full = _IMAGES[message.encoding]
-        rows = np.frombuffer(bytes(message.data), np.uint8).reshape(size[0], -1)
-        dn = rows[:, :size[1] * np.dtype(kind).itemsize].view(kind) * np.float32(step)
+        row = size[1] * np.dtype(kind).itemsize
+        data = np.frombuffer(bytes(message.data), np.uint8)
+        if len(data) % size[0] or len(data) < size[0] * row:
+            raise ValueError(f"{len(data)} bytes are no image of {size[1]}x{size[0]}")
+        dn = data.reshape(size[0], -1)[:, :row].copy().view(kind) * np.float32(step)
         stamp = message.header.stamp
         mid = stamp.sec * 1_000_000 + stamp.nanosec // 1000
         start = mid - self._exposure_us // 2
         frame = ApsFrame(dn, start, start + self._exposure_us, full_scale_dn=full)
-        self._frames.append(frame)
+        insort(self._frames, frame, key=lambda one: one.available_us)
+        if len(self._frames) > _MOST_WAITING:       # the farthest ahead
+            self._frames.pop()
+            self.dropped += 1
         # Events up to the end of the exposure come first, unless there are none.
         return self._waiting(frame.available_us if self._events_us is None else max(
             self._events_us, mid - HORIZON_US))
@@ -105,7 +113,7 @@ class Fuser:
         """Push the images up to a time; return those that are completed by it."""
         images = []
         while self._frames and self._frames[0].available_us <= until_us:
-            frame = self._frames.popleft()
+            frame = self._frames.pop(0)
             now = max(frame.available_us, self._last_us or frame.available_us)
             images += self._push(
                 Packet(frames=(frame.replace(available_us=now),)), now)
