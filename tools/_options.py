@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pdavis_cv._remote import as_path
 from pdavis_cv.recording.base import start_of
 
 from ._common import UsageError, require_samples
@@ -50,7 +51,7 @@ def source_of(args: argparse.Namespace, file: AnySource | None = None) -> Source
 def _is_hdf5(path: str | os.PathLike[str]) -> bool:
     """Return whether the HDF5 library, which damage can hang, reads a file."""
     try:
-        with Path(path).open("rb") as file:
+        with as_path(path).open("rb") as file:
             return file.read(len(_HDF5)) == _HDF5
     except (OSError, ValueError):
         return False

@@ -291,7 +291,7 @@ class Session:
         t, newest, rate = self._fusion.t_us, self._inbox.newest_us, self._fusion.fps
         if t is None or newest is None or rate is None:
             return False
-        count = int((newest - t) * float(rate) / 1e6 - MOST_PUSHED)
+        count = int((newest - t) * float(rate) / 1e6) - MOST_PUSHED + 1
         if count > 0:
             self._skipped += count
             self._fusion.index += count - 1
