@@ -7,6 +7,7 @@ import pytest
 
 import pdavis_cv as p
 from pdavis_cv import Layout, RecordingError, VideoCapture, open_recording
+from pdavis_cv.tools import main
 
 SONY = Layout.SONY
 
@@ -39,6 +40,7 @@ def test_a_pipe_is_no_recording_and_is_not_waited_for(tmp_path, name):
                    *([tmp_path / "*.png"] if name == "a.png" else [])):
         with pytest.raises(RecordingError, match="neither a file nor a folder"):
             open_recording(source, layout=SONY)
+    assert main.main(["info", str(tmp_path / name)]) == 2
     os.rename(tmp_path / name, tmp_path / "a.geojson")
     for read_other in (p.analysis.read_rois, p.Calibration.load,
                        p.analysis.read_load):
