@@ -503,6 +503,7 @@ def test_progress_shows_on_a_terminal_only(tmp_path):
     assert b"images" in shown
 
 
+@pytest.mark.accuracy
 @pytest.mark.gate
 def test_demo_reports_small_errors_and_large_ones_for_frames(
         tmp_path, capsys, monkeypatch):
