@@ -248,7 +248,8 @@ class PolarFrame(Advises):
     def sigma_aop(self) -> NDArray[np.float32] | None:
         """Standard deviation of AoP in radians, shape (H, W); None without variance.
 
-        First-order propagation of four independent errors.  It is too small where DoLP
+        First-order propagation of four independent errors, which in images of a mosaic
+        include that channels are taken at different places.  It is too small where DoLP
         itself is uncertain, and at most pi / sqrt(12), the value for a random angle.
         """
         sigmas = self._propagated()
@@ -258,9 +259,8 @@ class PolarFrame(Advises):
     def sigma_dolp(self) -> NDArray[np.float32] | None:
         """Standard deviation of DoLP, shape (H, W); None without variance.
 
-        First-order propagation of four independent errors; infinite where S0 is not
-        positive.  A DoLP near 0 is biased upwards by about one sigma; `dolp_debiased`
-        corrects that.
+        Propagated as `sigma_aop` is; infinite where S0 is not positive.  A DoLP near 0
+        is biased upwards by about one sigma; `dolp_debiased` corrects that.
         """
         sigmas = self._propagated()
         return None if sigmas is None else sigmas[1]

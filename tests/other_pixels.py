@@ -7,7 +7,8 @@ of the light, count whole thresholds in a step, and place the events evenly in i
 Circuit: the photoreceptor as a differential equation of the photocurrent with two
 poles, noise as a fluctuating voltage before the comparator, a refractory period and a
 leak that grows with light (Graca, McReynolds, Delbruck, arXiv:2304.04706; Nozaki,
-Delbruck, IEEE Trans. Electron Devices 64, 2017).  Nothing was chosen on it.
+Delbruck, IEEE Trans. Electron Devices 64, 2017).  Nothing was chosen on it; what is due
+to v2e's first two specimens, lab/docs/reproduced.md says.
 """
 import numpy as np
 
