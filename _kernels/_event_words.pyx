@@ -24,6 +24,8 @@ cdef enum:
 cdef enum:
     NEAR = 4096     # words that are searched for the next upper bits of time
     HIGHS = 3       # number of these that are compared: one may be damaged too
+    FEW = 8         # events guessed right that save less than a wrong guess costs
+    RARELY = 512    # most events until the next guess
 
 
 ctypedef fused word_t:
@@ -129,26 +131,35 @@ def evt2_words(const uint32_t[::1] words not None, Py_ssize_t begin,
 
 cdef inline Py_ssize_t single_events(
         const uint16_t* words, Py_ssize_t i, Py_ssize_t n, int64_t height,
-        int64_t width, int64_t* at, int64_t* s, Py_ssize_t room, event_t* out
-        ) noexcept nogil:
+        int64_t width, int64_t* at, int64_t* s, Py_ssize_t* wait, Py_ssize_t room,
+        event_t* out) noexcept nogil:
     """Decode what usually is there: a time or none, a row or none, and an event.
 
     Returns the index of the first word that is not, below n, such as a row outside.
-    Which of them there are cannot be predicted, so they are selected by masks, without
-    branches; both are told from the same two words, as others would have to be waited
-    for.
+    Where events are dense, which of them there are cannot be predicted, so they are
+    selected by masks, without branches; both are told from the same two words, as
+    others would have to be waited for.  Where events are sparse, all are there, which
+    is guessed again `wait` events after it was wrong.
     """
     cdef int64_t high = at[LOOPS] + (at[HIGH] << 12), time = at[TIME], row = at[ROW]
     cdef int64_t x, timed, rowed, last = s[LAST]
     cdef bint fall = False
-    cdef Py_ssize_t k = s[FILLED]
+    cdef Py_ssize_t k = s[FILLED], guess = k + wait[0]
     while i + 3 < n and k <= room:
-        timed = words[i] >> 12 == 6
-        rowed = ((words[i] & 0xF7FF) < height) | (
-            (words[i + 1] & 0xF7FF) < height) & timed
-        time += (high + (words[i] & 0xFFF) - time) & -timed
-        row += ((words[i + timed] & 0x7FF) - row) & -rowed
-        i += timed + rowed
+        if k >= guess and (words[i] >> 12 == 6) & (
+                (words[i + 1] & 0xF7FF) < height):
+            time, row = high + (words[i] & 0xFFF), words[i + 1] & 0x7FF
+            i += 2
+        else:
+            if k >= guess:
+                wait[0] = 1 if k - guess >= FEW else min(2 * wait[0], RARELY)
+                guess = k + wait[0]
+            timed = words[i] >> 12 == 6
+            rowed = ((words[i] & 0xF7FF) < height) | (
+                (words[i + 1] & 0xF7FF) < height) & timed
+            time += (high + (words[i] & 0xFFF) - time) & -timed
+            row += ((words[i + timed] & 0x7FF) - row) & -rowed
+            i += timed + rowed
         x = words[i] & 0x7FF
         if (words[i] >> 12 != 2) | (x >= width) | (row >= height):
             break
@@ -179,6 +190,7 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
     As `evt2_words`.
     """
     cdef Py_ssize_t i = begin, n = words.shape[0], room = out.shape[0] - 12, after
+    cdef Py_ssize_t wait = 1
     cdef uint32_t word, kind, bits
     cdef int64_t high, x, p
     cdef int count, k
@@ -198,7 +210,8 @@ def evt3_words(const uint16_t[::1] words not None, Py_ssize_t begin,
     with nogil:
         while i < n and s[FILLED] <= room:
             if at[HIGH] >= 0:
-                i = single_events(&words[0], i, n, height, width, at, s, room, &out[0])
+                i = single_events(
+                    &words[0], i, n, height, width, at, s, &wait, room, &out[0])
                 if s[FILLED] > room:
                     break
             word = words[i]

@@ -28,9 +28,9 @@ from pdavis_cv.recording.limits import Budget
 END_OF_TIME = 1 << 62
 _PIXEL = 5
 """Bytes of a frame's pixel: its DN, and whether it is valid."""
-_MOST_KEPT = 32
+_MOST_KEPT = 64
 """A packet that keeps more than so many times its own memory is copied."""
-_SMALL, _TOGETHER = 1 << 14, 16
+_SMALL, _TOGETHER = 1 << 14, 32
 """Bytes up to which it takes longer to begin a copy than to make it; so many of them
 are copied together."""
 

@@ -37,7 +37,7 @@ FRAMES_UNDER_WAY = 3
 KEPT_BYTES = 1 << 22
 """Packets that were examined ahead are kept up to this size, larger ones read again."""
 
-GROUP, SMALL = 16, 16384
+GROUP, SMALL = 32, 16384
 """So many packets are put in order at a time, if none has more events; they lie between
 multiples of the number, so that findings are those of any other reading."""
 RUN = 1 << 17
