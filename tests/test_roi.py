@@ -25,6 +25,16 @@ def test_a_polygon_over_pixel_corners_is_the_rectangle():
             Roi.from_rectangle(10, 20, 32, 16).mask(SENSOR))
 
 
+def test_a_polygon_of_many_corners_is_that_of_few():
+    def along(a, b):
+        return np.linspace(a, b, 2_000, endpoint=False)
+
+    few = np.array([(10, 20), (10, 236), (42, 236), (42, 20)])
+    ring = np.concatenate([*map(along, few, np.roll(few, -1, axis=0))])
+    np.testing.assert_array_equal(
+        Roi.from_polygon(ring).mask(SENSOR), Roi.from_polygon(few).mask(SENSOR))
+
+
 def places(stop):
     return st.integers(0, 100 * stop).map(lambda n: n / 100)
 

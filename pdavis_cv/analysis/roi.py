@@ -16,6 +16,8 @@ from pdavis_cv._remote import as_path
 
 _MOST_BYTES = 1 << 26
 """Largest size of all regions of an archive, bytes; one has a few hundred."""
+_TOGETHER = 1 << 18
+"""Pairs of an edge and a row that are looked at together; a choice."""
 _UNSUPPORTED = ("LINE", "FREELINE", "POLYLINE", "NOROI", "ANGLE", "POINT")
 
 
@@ -158,13 +160,14 @@ def _inside(
     crossings = np.zeros((height, width + 1), np.int64)
     rows = np.arange(height) + 0.5
     for ring in rings:
-        for (xa, ya), (xb, yb) in zip(ring, np.roll(ring, -1, axis=0), strict=True):
-            if ya == yb:
-                continue
-            hit = np.flatnonzero((rows >= min(ya, yb)) & (rows < max(ya, yb)))
-            x = xa + (rows[hit] - ya) * (xb - xa) / (yb - ya)
+        edges = np.concatenate((ring, np.roll(ring, -1, axis=0)), axis=1)
+        for part in np.array_split(edges, len(edges) * height // _TOGETHER + 1):
+            low, high = np.sort(part[:, 1::2]).T[:, :, None]
+            edge, row = np.nonzero((rows >= low) & (rows < high))
+            xa, ya, xb, yb = part[edge].T
+            x = xa + (rows[row] - ya) * (xb - xa) / (yb - ya)
             first = np.clip(np.ceil(x - 0.5), 0, width).astype(np.int64)
-            crossings[hit, first] += 1
+            np.add.at(crossings, (row, first), 1)
     return (np.cumsum(crossings, axis=1)[:, :width] % 2).astype(bool)
 
 
