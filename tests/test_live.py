@@ -1,4 +1,5 @@
 """Live sources and the session: the same bits as a file, and nothing that waits."""
+import dataclasses
 import signal
 import subprocess
 import sys
@@ -13,11 +14,20 @@ from link_faults import FaultySource
 from streams import METHODS, assert_same, random_events, random_frame, turning_polarizer
 
 import pdavis_cv
-from pdavis_cv import DeviceError, Layout, Packet, RecordingError, fuse, open_source
+from pdavis_cv import (
+    EVENT_DTYPE,
+    DeviceError,
+    Layout,
+    Packet,
+    RecordingError,
+    fuse,
+    open_source,
+)
 from pdavis_cv.data import example_recording
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.fusion.learning import Learning
-from pdavis_cv.live import Session
+from pdavis_cv.live import LiveSource, Session, inbox
+from pdavis_cv.live.base import endless
 from pdavis_cv.live.clock import HostClock, in_order
 from pdavis_cv.live.inbox import Inbox, Waiting
 from pdavis_cv.live.replay import PIECE_US, ReplaySource, pieces
@@ -164,6 +174,43 @@ def test_a_time_before_all_clocks_is_dropped_and_counted():
         Packet(moved_events(events, int(events["t"][-1])))]), log))
     assert [len(packet.events) for packet in given] == [10, 10]
     assert [p.kind for p in log.problems] == ["backward time"]
+
+
+class Flooding(LiveSource):
+    """A device whose clock hardly runs for a while."""
+
+    def _arrivals(self):
+        yield Packet(frames=(random_frame((8, 8), 0),))
+        for time_us in (20_000, 90_000):
+            for i in range(1_000):
+                events = np.zeros(100, EVENT_DTYPE)
+                events["t"] = time_us + i // 400
+                yield Packet(events)
+        yield Packet(until_us=200_000)
+
+
+@pytest.mark.parametrize("how", ["fuse", "session", "push"])
+def test_what_no_camera_sends_in_its_time_is_dropped_and_counted(
+        recording, monkeypatch, how):
+    monkeypatch.setattr(inbox, "MOST_BYTES", 200_000)
+    info = dataclasses.replace(endless(recording.info), sensor_size=(8, 8))
+    with Flooding(info, "test") as source:
+        if how == "fuse":
+            images = list(fuse(source, **OPTIONS, method="cf", causal=True))
+            found = source.problems
+        elif how == "session":
+            with Session(source, **OPTIONS, method="cf") as session:
+                images = list(session)
+            found = source.problems
+        else:
+            with Session(info, **OPTIONS, method="cf") as session:
+                images = [image for packet in source._arrivals()
+                          for image in session.push(packet)]
+                found = session.problems
+        [flood] = [one for one in found if one.kind == "flood"]
+    # Of 2,300 bytes each, with its objects; a microsecond makes room for 1,000.
+    assert flood.count == 100 * 2 * (1_000 - (200_000 + 2 * 1_000) // 2_300)
+    assert len(images) > 5
 
 
 def test_a_stream_s_problems_are_counted_and_not_kept():

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from pdavis_cv._types import Events, Records
 from pdavis_cv.events import FAR
+from pdavis_cv.live.inbox import Flood
 from pdavis_cv.recording.base import Packet
 from pdavis_cv.recording.files import ProblemLog
 from pdavis_cv.recording.timeline import SEGMENT_US, Timeline
@@ -78,9 +79,9 @@ def in_order(packets: Iterator[Packet], log: ProblemLog) -> Iterator[Packet]:
 
     A step back by more than a second means that the clock was reset: the later packets
     are shifted in time to follow the earlier ones, as a new segment.  Samples that are
-    late by less are dropped and counted.  The log notes both.
+    late by less, or too many for their time, are dropped.  The log notes all.
     """
-    timeline = Timeline()
+    timeline, flood = Timeline(), Flood(log)
     jumps = offset = 0
     last: int | None = None
     for packet in packets:
@@ -110,7 +111,7 @@ def in_order(packets: Iterator[Packet], log: ProblemLog) -> Iterator[Packet]:
         if packet.stop_us is not None:
             ends.append(packet.stop_us - 1)
         last = max(ends)
-        yield packet
+        yield flood.passed(packet, last)
 
 
 def moved(packet: Packet, offset_us: int) -> Packet:

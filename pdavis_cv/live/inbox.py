@@ -1,10 +1,12 @@
 """Bounded queue of packets from the thread that reads to the one that fuses."""
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 
+from pdavis_cv.events import FAR
 from pdavis_cv.recording.base import MAX_PACKET_EVENTS, MAX_PACKET_US, Packet, joined
 from pdavis_cv.recording.files import ProblemLog
 
@@ -14,8 +16,35 @@ MOST_BYTES = 128 * 2**20
 """Most bytes of packets that may wait: 0.3 s of 30 million events per second."""
 
 
+_BYTES_PER_US, _OBJECTS = 1_000, 1_000
+"""Twice what USB 3 carries, and the bytes that the objects of a packet take."""
+
+
 class Waiting(Exception):
     """The queue is empty now; ask again after the next packet."""
+
+
+class Flood:
+    """Drops what no camera can send in its time, as it would have to wait for that.
+
+    Times tell when data may be used: if they hardly advance, data only gather.
+    """
+
+    def __init__(self, log: ProblemLog) -> None:
+        self._log, self._bytes, self._newest_us = log, 0, -FAR
+
+    def passed(self, packet: Packet, newest_us: int) -> Packet:
+        """Return a packet, which ends at a time, without its samples if too many."""
+        carried = _BYTES_PER_US * max(newest_us - self._newest_us, 0)
+        waiting = max(self._bytes - carried, 0) + size_of(packet)
+        self._newest_us = newest_us
+        if waiting <= MOST_BYTES or packet.start_us is None:
+            self._bytes = waiting
+            return packet
+        self._log.add("flood", None, "samples were dropped because no camera sends so "
+                      "many in so short a time", start_us=newest_us, stop_us=newest_us,
+                      count=len(packet.events) + len(packet.frames))
+        return Packet(until_us=newest_us)
 
 
 class Inbox:
@@ -23,13 +52,14 @@ class Inbox:
 
     If it is `lossy`, `put` never waits; if the queue would hold more than 0.5 s of
     stream time, all waiting packets are dropped except the last frame, and counted in
-    the log. Else `put` waits for room, and nothing is dropped.  Unless it `waits`,
+    the log.  Else `put` waits for room, and nothing is dropped.  Unless it `waits`,
     iterating over an empty queue raises `Waiting`.
     """
 
     def __init__(self, lossy: bool, log: ProblemLog, *, waits: bool = True) -> None:
         self._lossy, self._log, self._waits = lossy, log, waits
         self._packets: deque[Packet] = deque()
+        self._flood = Flood(log)
         self._bytes = 0
         self._change = threading.Condition()
         self._ended = False
@@ -43,6 +73,7 @@ class Inbox:
         ends = [t for t in (packet.until_us, packet.stop_us) if t is not None]
         if not ends:
             return
+        packet = self._flood.passed(packet, max(ends))
         with self._change:
             while not self._lossy and not self._ended and self._full(max(ends)):
                 self._change.wait()
@@ -128,9 +159,9 @@ class Inbox:
 
 
 def size_of(packet: Packet) -> int:
-    """Return the bytes of a packet's arrays."""
-    return (packet.events.nbytes + packet.imu.nbytes + packet.triggers.nbytes
-            + sum(frame.dn.nbytes for frame in packet.frames))
+    """Return the bytes of a packet."""
+    return (_OBJECTS + packet.events.nbytes + packet.imu.nbytes + packet.triggers.nbytes
+            + sum(4 * math.prod(frame.shape) for frame in packet.frames))
 
 
 def fitting(first: Packet, others: Iterable[Packet]) -> int:
