@@ -21,12 +21,15 @@ def cameras(monkeypatch):
         def __init__(self, width, height, fps, *, fmt, device):
             if device == "/dev/none":
                 raise RuntimeError("no loopback\ndevice found")
+            self.lasts = 3 if device == "/dev/gone" else 10**9
             self.size, self.fps, self.fmt = (width, height), fps, fmt
             self.device, self.sent = device or "/dev/video7", []
             made.append(self)
 
         def send(self, picture):
             self.sent.append(picture.copy())
+            if len(self.sent) > self.lasts:
+                raise RuntimeError("write failed")
 
         def sleep_until_next_frame(self):
             pass
@@ -57,11 +60,21 @@ def test_a_webcam_shows_the_pictures_of_a_capture(cameras, capsys):
         "/dev/video7: 56x56, 20 per second", f"{len(wanted)} images"]
 
 
+def test_a_package_that_cannot_be_imported_is_one_line(tmp_path, monkeypatch, capsys):
+    (tmp_path / "pyvirtualcam.py").write_text("raise RuntimeError('of another NumPy')")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "pyvirtualcam", raising=False)
+    assert main(["webcam", SOURCE]) == 2
+    assert capsys.readouterr().err == ("pdavis: pyvirtualcam is installed, but cannot "
+                                       "be imported: of another NumPy\n")
+
+
 @pytest.mark.parametrize(("arguments", "message"), [
     ((SOURCE, "--device", "/dev/none"), "no loopback device found"),
+    ((SOURCE, "--device", "/dev/gone"), "/dev/gone: write failed"),
     (("none.aedat4",), "cannot be opened")])
 def test_mistakes_are_one_line(cameras, capsys, arguments, message):
-    assert main(["webcam", *arguments]) == 2
+    assert main(["webcam", *arguments]) == 1 + (message != "/dev/gone: write failed")
     said = capsys.readouterr().err
     assert message in said
     assert said.count("\n") == 1

@@ -35,14 +35,18 @@ def main(argv: Sequence[str] | None = None) -> int:
                 fmt=pyvirtualcam.PixelFormat.BGR, device=args.device)
         except RuntimeError as error:   # none is there
             raise UsageError(" ".join(str(error).split())) from None
-        with camera:
-            tell_now(args, [f"{camera.device}: {width}x{height}, {camera.fps:g} per "
-                            "second"], device=camera.device)
-            while ok and picture is not None:
-                camera.send(picture)
-                camera.sleep_until_next_frame()
-                sent += 1
-                ok, picture = capture.read()
+        device = camera.device
+        tell_now(args, [f"{device}: {width}x{height}, {camera.fps:g} per second"],
+                 device=device)
+        try:
+            with camera:
+                while ok and picture is not None:
+                    camera.send(picture)
+                    camera.sleep_until_next_frame()
+                    sent += 1
+                    ok, picture = capture.read()
+        except (RuntimeError, ArithmeticError) as error:    # it is gone
+            raise OSError(f"{device}: {error}") from None
     tell_now(args, [f"{sent} images"], images=sent)
     return 0
 
