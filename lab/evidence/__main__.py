@@ -1,5 +1,7 @@
 """Run the table."""
-from .command import main
+from importlib import import_module
+
+from pdavis_cv.tools._common import command
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    raise SystemExit(command(lambda a: import_module("lab.evidence.command").main(a))())

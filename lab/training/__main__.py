@@ -52,11 +52,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     if out.suffix != ".npz":
         raise UsageError(f"--out must end in .npz, got {args.out!r}")
     checked_out(out)
-    for name in ("steps", "every", "batch"):
-        if getattr(args, name) < 1:
-            raise UsageError(f"--{name} must be at least 1, got {getattr(args, name)}")
-    if args.side < 4:
-        raise UsageError(f"--side must be at least 4, got {args.side}")
     if importlib.util.find_spec("torch") is None:
         raise UsageError("training needs torch: pip install torch")
     stage("loading torch, and its first step")
