@@ -102,9 +102,10 @@ PDAVIS_CLONES PDAVIS_UNUSED static void colour_cells(
     }
 }
 
-/* The window (1, 2, 3, 4, 3, 2, 1) down rows, and along them with three ends more. */
+/* The window (-2, 3, 6, 7, 6, 3, -2), which keeps what bends evenly, down rows, and
+   along them with three ends more. */
 #define PDAVIS_SEVEN(a, b, c, d, e, f, g)                                            \
-    ((((a) + (g)) + 2.0f * ((b) + (f))) + (3.0f * ((c) + (e)) + 4.0f * (d)))
+    ((3.0f * ((b) + (f)) - 2.0f * ((a) + (g))) + (6.0f * ((c) + (e)) + 7.0f * (d)))
 PDAVIS_CLONES PDAVIS_UNUSED static void colour_window(
     const float *const *rows, ptrdiff_t n, float *restrict spare, float *restrict out)
 {
@@ -119,7 +120,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void colour_window(
     }
     for (ptrdiff_t x = 0; x < n; x++)
         out[x] = PDAVIS_SEVEN(spare[x - 3], spare[x - 2], spare[x - 1], spare[x],
-                              spare[x + 1], spare[x + 2], spare[x + 3]) / 256.0f;
+                              spare[x + 1], spare[x + 2], spare[x + 3]) / 441.0f;
 }
 
 /* The least of a part of grey: below is noise. */
@@ -183,29 +184,37 @@ PDAVIS_CLONES PDAVIS_UNUSED static void colour_between(
     out[n] = out[n - 1];
 }
 
-/* A colour in parts of grey behind the polarizers at four places of each block: its
-   tint times 1 +- x +- y +- d, at least a 50th.  These are of n cells, two blocks wide;
-   share of the cell before belongs to even blocks, of that behind to odd ones. */
-PDAVIS_CLONES PDAVIS_UNUSED static void colour_factors(
-    const float *restrict tint, const float *restrict part_x,
-    const float *restrict part_y, const float *restrict part_d, float before,
-    float behind, ptrdiff_t n, float *restrict to0, float *restrict to1,
-    float *restrict to2, float *restrict to3)
+/* A colour's 1 +- x +- y +- d at four places over that of grey, both at least a 50th.
+   Parts of grey get a share of those on one side. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_over_grey(
+    const float *restrict x, const float *restrict y, const float *restrict d,
+    const float *restrict grey_x, const float *restrict grey_y,
+    const float *restrict grey_d, ptrdiff_t side, float share, ptrdiff_t n,
+    float *restrict to0, float *restrict to1, float *restrict to2, float *restrict to3)
 {
-#define PDAVIS_PLACES(at, beside, share)                                             \
-    {                                                                                \
-        float own = tint[at];                                                        \
-        float x = (1.0f - share) * part_x[j] + share * part_x[j + beside];           \
-        float y = (1.0f - share) * part_y[j] + share * part_y[j + beside];           \
-        float d = (1.0f - share) * part_d[j] + share * part_d[j + beside];           \
-        to0[at] = own * above_noise((1.0f + x) + (y + d));                           \
-        to1[at] = own * above_noise((1.0f - x) + (y - d));                           \
-        to2[at] = own * above_noise((1.0f + x) - (y + d));                           \
-        to3[at] = own * above_noise((1.0f - x) - (y - d));                           \
-    }
     for (ptrdiff_t j = 0; j < n; j++) {
-        PDAVIS_PLACES(2 * j, -1, before)
-        PDAVIS_PLACES(2 * j + 1, 1, behind)
+        float p = (1.0f - share) * grey_x[j] + share * grey_x[j + side];
+        float q = (1.0f - share) * grey_y[j] + share * grey_y[j + side];
+        float r = (1.0f - share) * grey_d[j] + share * grey_d[j + side];
+#define PDAVIS_OF(x, y, d) above_noise((1.0f + (x)) + ((y) + (d)))
+        to0[j] = PDAVIS_OF(x[j], y[j], d[j]) / PDAVIS_OF(p, q, r);
+        to1[j] = PDAVIS_OF(-x[j], y[j], -d[j]) / PDAVIS_OF(-p, q, -r);
+        to2[j] = PDAVIS_OF(x[j], -y[j], -d[j]) / PDAVIS_OF(p, -q, -r);
+        to3[j] = PDAVIS_OF(-x[j], -y[j], d[j]) / PDAVIS_OF(-p, -q, r);
+    }
+}
+
+/* A colour in parts of grey at one place of each block: its tint times what is of n
+   cells, two blocks wide; share of the cell before belongs to even blocks, of that
+   behind to odd ones. */
+PDAVIS_CLONES PDAVIS_UNUSED static void colour_factors(
+    const float *restrict tint, const float *restrict ratio, float before,
+    float behind, ptrdiff_t n, float *restrict out)
+{
+    for (ptrdiff_t j = 0; j < n; j++) {
+        float at = ratio[j];
+        out[2 * j] = tint[2 * j] * (at + before * (ratio[j - 1] - at));
+        out[2 * j + 1] = tint[2 * j + 1] * (at + behind * (ratio[j + 1] - at));
     }
 }
 
@@ -224,17 +233,17 @@ PDAVIS_CLONES PDAVIS_UNUSED static void colour_pixels(
 /* Divide a row of pixels by factors between two rows of blocks, each of four kinds: at
    the two pixels of even, then of odd blocks. */
 PDAVIS_CLONES PDAVIS_UNUSED static void colour_divide(
-    const float *const *here, const float *const *beside, const float *restrict own,
-    ptrdiff_t w, float *restrict out)
+    const float *const *here, const float *const *beside, ptrdiff_t w, float *own)
 {
     const float *restrict a = here[0], *restrict b = here[1], *restrict c = here[2];
     const float *restrict d = here[3], *restrict p = beside[0], *restrict q = beside[1];
     const float *restrict r = beside[2], *restrict s = beside[3];
+#pragma GCC ivdep
     for (ptrdiff_t x = 0; x < w; x++) {
         int32_t odd = -((int32_t)x & 1), second = -((int32_t)x >> 1 & 1);
         float near = pick(second, pick(odd, d[x], c[x]), pick(odd, b[x], a[x]));
         float far = pick(second, pick(odd, s[x], r[x]), pick(odd, q[x], p[x]));
-        out[x] = own[x] / (0.75f * near + 0.25f * far);
+        own[x] /= 0.75f * near + 0.25f * far;
     }
 }
 

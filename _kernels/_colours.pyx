@@ -24,10 +24,12 @@ cdef extern from "_colours.h" nogil:
     void colour_tints(const float*, const float**, int, Py_ssize_t, float*, float*,
                       float*)
     void colour_between(const float*, const float*, float, Py_ssize_t, float*)
-    void colour_factors(const float*, const float*, const float*, const float*, float,
-                        float, Py_ssize_t, float*, float*, float*, float*)
+    void colour_over_grey(const float*, const float*, const float*, const float*,
+                          const float*, const float*, Py_ssize_t, float, Py_ssize_t,
+                          float*, float*, float*, float*)
+    void colour_factors(const float*, const float*, float, float, Py_ssize_t, float*)
     void colour_pixels(const float*, Py_ssize_t, float*)
-    void colour_divide(const float**, const float**, const float*, Py_ssize_t, float*)
+    void colour_divide(const float**, const float**, Py_ssize_t, float*)
     void colour_multiply(const float*, const float*, const float*, Py_ssize_t, float*)
 
 cdef enum:
@@ -77,10 +79,10 @@ cdef int begin(Py_ssize_t h, Py_ssize_t w, const float[:, :, ::1] tints,
     cdef Py_ssize_t k
     if (h < 4 or w < 4 or h % 4 or w % 4 or tints.shape[0] != 3
             or 2 * tints.shape[1] != h or 2 * tints.shape[2] != w or parts.shape[0] != 3
-            or parts.shape[1] != 3 or 4 * parts.shape[2] != h or 4 * parts.shape[3] != w
+            or parts.shape[1] != 8 or 4 * parts.shape[2] != h or 4 * parts.shape[3] != w
             or scratch.shape[0] < ROWS * row_stride(w) + 32):
         raise ValueError("images must be (4h, 4w), of blocks (3, 2h, 2w), of cells "
-                         "(3, 3, h, w), scratch 55 * (4 w + 32) + 32 floats")
+                         "(3, 8, h, w), scratch 55 * (4 w + 32) + 32 floats")
     for k in range(ROWS):
         row[k] = scratch_row(&scratch[0], k, w)
     return 0
@@ -96,20 +98,19 @@ cdef inline void rows_around(float** ring, Py_ssize_t y, Py_ssize_t h, Py_ssize_
 
 def colour_ratios(const float[:, ::1] mosaic not None, float[::1] scratch not None,
                   float[:, :, ::1] tints not None,
-                  float[:, :, :, :, ::1] parts not None):
+                  float[:, :, :, ::1] parts not None):
     """Find the colours of mosaic (4h, 4w).
 
-    tints (3, 2h, 2w): red, green and blue of each block over their mean.  parts[0]
-    (3, 3, h, w): around each cell the differences of columns, of rows and of diagonals
-    of each colour over its light; parts[1]: those of the cell itself.  scratch is
-    55 * (4 w + 32) + 32 floats.
+    tints (3, 2h, 2w): red, green and blue of each block over their mean.  parts
+    (3, 8, h, w), of each colour: around each cell what is seen at the four places of a
+    block over that of grey; differences of columns, of rows and of diagonals over their
+    light; one of those of grey.  scratch is 55 * (4 w + 32) + 32 floats.
     """
-    cdef Py_ssize_t h = tints.shape[1], w = tints.shape[2], i, f, j, k, c, y
+    cdef Py_ssize_t h = tints.shape[1], w = tints.shape[2], i, f, j, k, c, y, x
+    cdef float share, quarter = 0.25
     cdef float* row[55]    # of eight each: light, three differences, grey, more than
     cdef const float* around[7]     # green; then two of green, two single ones
-    begin(mosaic.shape[0], mosaic.shape[1], tints, parts[0], scratch, row)
-    if parts.shape[0] != 2:
-        raise ValueError("colour_ratios: parts must be two")
+    begin(mosaic.shape[0], mosaic.shape[1], tints, parts, scratch, row)
     with nogil:
         for i in range(h + 5):
             if i < h:      # samples of row i of blocks
@@ -128,7 +129,8 @@ def colour_ratios(const float[:, ::1] mosaic not None, float[::1] scratch not No
                 mirror_ends(row[32 + (f & 7)], w)
                 for k in range(3):
                     colour_cells(row[8 + 8 * k + (f & 7)], f & 1, w // 2,
-                                 &parts[1, c, k, f // 2, 0], &parts[1, 1, k, f // 2, 0])
+                                 &parts[c, k, f // 2, 0],
+                                 &parts[1, k, f // 2, 0])
             f = i - 4
             if 0 <= f < h:  # green of row f
                 rows_around(row + 32, f, h, 2, around)
@@ -140,13 +142,32 @@ def colour_ratios(const float[:, ::1] mosaic not None, float[::1] scratch not No
                 c = 2 * (f & 1)
                 colour_tints(row[48 + (f & 1)], around, f & 1, w, &tints[c, f, 0],
                              &tints[1, f, 0], &tints[2 - c, f, 0])
+        h, w = h // 2, w // 2
         for c in range(3):
-            for y in range(h // 2):
-                for k in range(3):
+            for k in range(3):
+                for y in range(h):
                     for j in range(7):
-                        i = min(max(y + j - 3, 0), h // 2 - 1)
-                        around[j] = &parts[1, c, k, i, 0]
-                    colour_window(around, w // 2, row[0] + 1, &parts[0, c, k, y, 0])
+                        i = min(max(y + j - 3, 0), h - 1)
+                        around[j] = &parts[c, k, i, 0]
+                    colour_window(around, w, row[0] + 1, &parts[c, 4 + k, y, 0])
+        for k in range(3):
+            for y in range(h):
+                for x in range(w):
+                    parts[k, 7, y, x] = quarter * (
+                        (parts[0, 4 + k, y, x] + parts[2, 4 + k, y, x])
+                        + (parts[1, 4 + k, y, x] + parts[1, 4 + k, y, x]))
+        for c in range(3):
+            # Red blocks lie half a block before the centre of a cell, blue ones behind.
+            share = 0 if c == 1 else 0.25
+            for y in range(h):
+                i = min(max(y + c - 1, 0), h - 1)
+                for k in range(3):
+                    colour_between(&parts[k, 7, y, 0], &parts[k, 7, i, 0],
+                                   share, w, row[k])
+                colour_over_grey(
+                    &parts[c, 4, y, 0], &parts[c, 5, y, 0], &parts[c, 6, y, 0], row[0],
+                    row[1], row[2], c - 1, share, w, &parts[c, 0, y, 0],
+                    &parts[c, 1, y, 0], &parts[c, 2, y, 0], &parts[c, 3, y, 0])
 
 
 cdef inline void factors(const float[:, :, ::1] tints, const float[:, :, :, ::1] parts,
@@ -155,17 +176,14 @@ cdef inline void factors(const float[:, :, ::1] tints, const float[:, :, :, ::1]
     cdef Py_ssize_t j = i // 2, n = parts.shape[3], beside, k, c
     cdef float share, before, behind
     for c in range(3 if i < tints.shape[1] else 0):
-        # Red blocks lie half a block before the centre of a cell, blue ones behind it.
         before, behind = 0.25 * c, 0.5 - 0.25 * c
         share, beside = (behind, j + 1) if i & 1 else (before, j - 1)
         beside = min(max(beside, 0), parts.shape[2] - 1)
-        for k in range(3):
-            colour_between(&parts[c, k, j, 0], &parts[c, k, beside, 0], share, n,
-                           row[48 + k])
-        colour_factors(&tints[c, i, 0], row[48], row[49], row[50], before, behind, n,
-                       row[51], row[52], row[53], row[54])
         for k in range(4):
-            colour_pixels(row[51 + k], 2 * n, row[16 * c + 4 * k + (i & 3)])
+            colour_between(&parts[c, k, j, 0], &parts[c, k, beside, 0], share, n,
+                           row[48])
+            colour_factors(&tints[c, i, 0], row[48], before, behind, n, row[49])
+            colour_pixels(row[49], 2 * n, row[16 * c + 4 * k + (i & 3)])
 
 
 cdef inline Py_ssize_t slot_beside(Py_ssize_t y, Py_ssize_t h) noexcept nogil:
@@ -173,18 +191,15 @@ cdef inline Py_ssize_t slot_beside(Py_ssize_t y, Py_ssize_t h) noexcept nogil:
     return min(max(y // 2 + (1 if y & 1 else -1), 0), h - 1) & 3
 
 
-def grey_mosaic(const float[:, ::1] mosaic not None,
-                const float[:, :, ::1] tints not None,
+def grey_mosaic(const float[:, :, ::1] tints not None,
                 const float[:, :, :, ::1] parts not None, float[::1] scratch not None,
-                float[:, ::1] out not None):
+                float[:, ::1] mosaic not None):
     """Divide each sample of mosaic by what its colour is in parts of grey."""
     cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], y, k, p
     cdef float* row[55]
     cdef const float* here[4]
     cdef const float* beside[4]
     begin(h, w, tints, parts, scratch, row)
-    if out.shape[0] != h or out.shape[1] != w:
-        raise ValueError("grey_mosaic: out must have the size of mosaic")
     with nogil:
         factors(tints, parts, 0, row)
         for y in range(h):
@@ -194,7 +209,7 @@ def grey_mosaic(const float[:, ::1] mosaic not None,
                 p = 16 * (k // 2 + (y // 2 & 1)) + 4 * (2 * (y & 1) + k % 2)
                 here[k] = row[p + (y // 2 & 3)]
                 beside[k] = row[p + slot_beside(y, h // 2)]
-            colour_divide(here, beside, &mosaic[y, 0], w, &out[y, 0])
+            colour_divide(here, beside, w, &mosaic[y, 0])
 
 
 def colour_planes(const Py_ssize_t[::1] places not None,

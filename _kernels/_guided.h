@@ -183,12 +183,38 @@ PDAVIS_CLONES PDAVIS_UNUSED static void guided_detail(
     }
 }
 
-/* Binomial sum (1, 2, 1) along a row. */
+/* Binomial sum (1, 2, 1) along a row, of values that are step apart. */
 PDAVIS_CLONES PDAVIS_UNUSED static void guided_beside(
-    const float *restrict in, ptrdiff_t w, float *restrict out)
+    const float *restrict in, ptrdiff_t step, ptrdiff_t w, float *restrict out)
 {
     for (ptrdiff_t x = 0; x < w; x++)
-        out[x] = (in[x - 1] + in[x + 1]) + 2.0f * in[x];
+        out[x] = (in[x - step] + in[x + step]) + 2.0f * in[x];
+}
+
+/* What 3x3 means have more than the mean of nine of them, two pixels apart, from three
+   rows of sums along rows; and its square. */
+PDAVIS_CLONES PDAVIS_UNUSED static void guided_coarse(
+    const float *restrict mean, const float *const *sums, ptrdiff_t w,
+    float *restrict coarse, float *restrict power)
+{
+    const float *restrict a = sums[0], *restrict b = sums[1], *restrict c = sums[2];
+    for (ptrdiff_t x = 0; x < w; x++) {
+        coarse[x] = mean[x] - 0.0625f * ((a[x] + c[x]) + 2.0f * b[x]);
+        power[x] = coarse[x] * coarse[x];
+    }
+}
+
+/* Multiply what means have more by 1 - N / D, as guided_row does with detail. */
+PDAVIS_CLONES PDAVIS_UNUSED static void guided_smooth(
+    const float *restrict coarse, const float *const *power,
+    const float *restrict least, float noise, ptrdiff_t w, float *restrict mean)
+{
+    const float *restrict a = power[0], *restrict b = power[1], *restrict c = power[2];
+    for (ptrdiff_t x = 0; x < w; x++) {
+        float square_mean = 0.0625f * ((a[x] + c[x]) + 2.0f * b[x]);
+        float left = noise * (least[x] * (mean[x] * mean[x])) / (square_mean + 1e-30f);
+        mean[x] -= (left < 1.0f ? left : 1.0f) * coarse[x];
+    }
 }
 
 /* Four channels of a row, by place in the cell, from its 3x3 means, the detail of the

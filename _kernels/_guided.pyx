@@ -8,7 +8,8 @@ The ratio of each difference to the mean is fitted by least squares in a 5x5 win
 weights that decrease with the change of intensity along the difference's axis.  The
 residual is fitted once more, and added as far as the fit explains it, which keeps
 detail of the polarization.  The sample itself then gives the mean at its own pixel, of
-which noise is filtered.  The equations are in docs/theory/demosaicing.md.
+which noise is filtered, as it is of what 3x3 means have more than wider ones where
+`coarse` is above 0.  The equations are in docs/theory/demosaicing.md.
 """
 from libc.stdint cimport uint8_t
 
@@ -35,7 +36,10 @@ cdef extern from "_guided.h" nogil:
     void guided_detail(const float*, const float*, const float*, const float*,
                        const float*, float, float, const float*, Py_ssize_t, float*,
                        float*)
-    void guided_beside(const float*, Py_ssize_t, float*)
+    void guided_beside(const float*, Py_ssize_t, Py_ssize_t, float*)
+    void guided_coarse(const float*, const float**, Py_ssize_t, float*, float*)
+    void guided_smooth(const float*, const float**, const float*, float, Py_ssize_t,
+                       float*)
     void guided_row(const float*, const float*, const float**, const float**,
                     const float*, float, const float*, const float*, const float*,
                     Py_ssize_t, float*, float*, float*, float*)
@@ -48,6 +52,7 @@ cdef packed struct guided_t:
     float most
     float additive
     float noise
+    float coarse
 
 # Index of the first scratch row of each quantity, and how many image rows it keeps.
 # Quantities of a difference have so many rows for each of the three.
@@ -69,7 +74,10 @@ cdef enum:
     TRUST = 127
     VARIANCE = 128
     TERM = 129        # two terms
-    ROWS = 131
+    BESIDE = 131      # five of means, two pixels apart
+    COARSE = 136      # three
+    SQUARES = 139     # five, likewise two pixels apart
+    ROWS = 144
 
 
 cdef inline void take_trust(const uint8_t* clean, Py_ssize_t w,
@@ -110,7 +118,7 @@ def guided(const pixel_t[:, ::1] mosaic not None,
 
     clean (h, w) is 1 where a sample and its eight neighbours are usable; if it is
     empty, all are.  variance (h, w) is that of the samples relative to their squares,
-    or empty if unknown.  All samples must be finite.  scratch has 131 * (w + 32) + 32
+    or empty if unknown.  All samples must be finite.  scratch has 144 * (w + 32) + 32
     floats.
     """
     cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1], whole = w, y, x, k, f, i
@@ -121,7 +129,7 @@ def guided(const pixel_t[:, ::1] mosaic not None,
     cdef float zero = 0, one = 1, huge = 1e30, down
     cdef guided_t constant
     cdef float* base
-    cdef float* row[131]
+    cdef float* row[144]
     cdef float* to[4]
     cdef const float* noise
     cdef const float* five[5]
@@ -135,7 +143,7 @@ def guided(const pixel_t[:, ::1] mosaic not None,
             "guided: clean and variance must be empty or have the size of mosaic")
     if scratch.shape[0] < ROWS * row_stride(w) + 32 or constants.shape[0] != 1:
         raise ValueError(
-            "guided: constants must be one, scratch 131 * (w + 32) + 32 floats")
+            "guided: constants must be one, scratch 144 * (w + 32) + 32 floats")
     check_places(places)
     plane_of_place(places, plane)
     base = &scratch[0]
@@ -143,7 +151,7 @@ def guided(const pixel_t[:, ::1] mosaic not None,
         constant = constants[0]
         for k in range(ROWS):
             row[k] = scratch_row(base, k, w)
-        # By strips whose 131 rows, .7 MB, stay in the cache, and 8 columns beside them.
+        # By strips whose 144 rows, .8 MB, stay in the cache, and 8 columns beside them.
         for first in range(0, whole, 1280):
             left, count = max(first - 8, 0), min(1280, whole - first)
             w = min(first + 1288, whole) - left
@@ -169,6 +177,9 @@ def guided(const pixel_t[:, ::1] mosaic not None,
                         row[SUM], row[DIFFERENCE], down, w, row[MEANS + f % 6],
                         row[DIFFERENCES + k], row[DIFFERENCES + 3 + k],
                         row[DIFFERENCES + 6 + k])
+                    if constant.coarse > zero:
+                        mirror_ends(row[MEANS + f % 6], w)
+                        guided_beside(row[MEANS + f % 6], 2, w, row[BESIDE + f % 5])
                     guided_weights(five[0], five[1], five[2], five[3], five[4],
                                    row[MEANS + f % 6], row[TRUST], constant.floor,
                                    constant.across, w, row[WEIGHTS + k],
@@ -190,6 +201,13 @@ def guided(const pixel_t[:, ::1] mosaic not None,
                             row[WEIGHTS + 3 * k + f % 3], row[PARTS + 3 * k + f % 3],
                             noise, w, row[TERM], row[TERM + 1])
                         sum_along(row + TERM, w, row + RESIDUAL + 10 * k, f % 5)
+                    if constant.coarse > zero:
+                        for k in range(3):
+                            five[k] = row[BESIDE + mirrored(f + 2 * k - 2, h) % 5]
+                        guided_coarse(row[MEANS + f % 6], five, w, row[COARSE + f % 3],
+                                      row[TERM])
+                        mirror_ends(row[TERM], w)
+                        guided_beside(row[TERM], 2, w, row[SQUARES + f % 5])
                 f = i - 6
                 if 0 <= f < h:  # detail of row f
                     for x in range(w):
@@ -209,8 +227,13 @@ def guided(const pixel_t[:, ::1] mosaic not None,
                                   row[TRUST], w, row[DETAIL + f % 2], row[TERM])
                     mirror_ends(row[TERM], w)
                     mirror_ends(row[TRUST], w)
-                    guided_beside(row[TERM], w, row[POWER + f % 3])
-                    guided_beside(row[TRUST], w, row[POWER + 3 + f % 3])
+                    guided_beside(row[TERM], 1, w, row[POWER + f % 3])
+                    guided_beside(row[TRUST], 1, w, row[POWER + 3 + f % 3])
+                    if constant.coarse > zero:
+                        for k in range(3):
+                            five[k] = row[SQUARES + mirrored(f + 2 * k - 2, h) % 5]
+                        guided_smooth(row[COARSE + f % 3], five, row[LEAST + f % 2],
+                                      constant.coarse, w, row[MEANS + f % 6])
                 y = i - 7
                 if y >= 0:     # channels of row y
                     x = first - left

@@ -27,7 +27,7 @@ Bilinear: 1, and 3 more where it extrapolates at a border.  Guided: windows of r
 PIXEL_DTYPES = tuple(map(np.dtype, (np.uint8, np.uint16, np.float32)))
 
 GUIDED_DTYPE = np.dtype([(name, "<f4") for name in (
-    "floor", "across", "gain", "most", "additive", "noise")])
+    "floor", "across", "gain", "most", "additive", "noise", "coarse")])
 """Constants of ``"guided"``, dimensionless.
 
 ``floor``: relative variance of a channel difference away from edges.
@@ -41,10 +41,14 @@ behind a crossed polarizer.
 ``noise``: ratio of the noise variance in the intensity's detail to the relative
 variance of differences.  For white noise it is 64/9 * .64 = 4.6: a 3x3 difference has
 9/64 of a sample's variance, the detail .64.  It is smaller, as edges disturb the
-differences too."""
+differences too.
+``coarse``: likewise of what 3x3 means have more than 7x7; 0 leaves that as it is."""
 
 # Found by lab/studies/demosaic_constants.py.
-_GUIDED = np.array([(1e-3, 0.3, 3.0, 2.0, 1.0, 3.5)], GUIDED_DTYPE)
+_GUIDED = np.array([(1e-3, 0.3, 3.0, 2.0, 1.0, 3.5, 0.0)], GUIDED_DTYPE)
+# Of the grey mosaic of colours.  What is left of their pattern is noise as well; and
+# with less, smooth light of 2,000 electrons has more noise than after polanalyser.
+_GREY = np.array([(1e-3, 0.3, 3.0, 2.0, 1.0, 20.0, 5.0)], GUIDED_DTYPE)
 
 
 def demosaic(
@@ -130,9 +134,11 @@ def demosaic(
     if layout.colours:
         out = output(out, (3, 4, height, width), np.float32, mosaic)
         if mosaic.size:
+            clean = _ALL_CLEAN
             if valid is not None and not valid.all():
                 mosaic = filled_samples(mosaic, valid, 4)
-            colour_channels(mosaic, layout, method, valid, demosaic, out)
+                clean = _eroded(valid).view(np.uint8)
+            colour_channels(mosaic, layout, method, clean, _GREY, out)
         return out
     places = places_of(layout)
     if method in HALF_SIZE:
@@ -153,7 +159,7 @@ def demosaic(
             if variance is not None:
                 noise = np.where(valid, variance, np.float32(0))
         _kernels.guided(mosaic, clean, noise, places, _GUIDED,
-                        scratch_rows(131, width), out)
+                        scratch_rows(144, width), out)
     else:
         _kernels.bilinear(
             mosaic, places, variance is not None, scratch_rows(2, width), out)

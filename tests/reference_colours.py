@@ -38,7 +38,7 @@ def beside(image, dy, dx):
 
 
 def colour_ratios(mosaic):
-    """Tints of blocks, and parts of cells."""
+    """Tints of blocks, and what cells of colours have over grey at four places."""
     m = mosaic.astype(F)
     a, b, c, d = m[::2, ::2], m[::2, 1::2], m[1::2, ::2], m[1::2, 1::2]
     light = np.maximum((a + b) + (c + d), F(1e-20))
@@ -94,9 +94,23 @@ def colour_ratios(mosaic):
         a, b, c, d, e, f, g = (
             np.take(np.pad(image, pad, "edge"), np.arange(image.shape[axis]) + k, axis)
             for k in range(7))
-        return ((a + g) + F(2) * (b + f)) + (F(3) * (c + e) + F(4) * d)
+        return (F(3) * (b + f) - F(2) * (a + g)) + (F(6) * (c + e) + F(7) * d)
 
-    return tints, window(window(cells, 2), 3) / F(256)
+    def at_places(x, y, d):
+        return np.maximum([(1 + x) + (y + d), (1 - x) + (y - d), (1 + x) + (-y - d),
+                           (1 - x) + (-y + d)], F(0.02))
+
+    cells = window(window(cells, 2), 3) / F(441)
+    grey = F(0.25) * ((cells[0] + cells[2]) + (cells[1] + cells[1]))
+    ratios = []
+    for c, (own, share) in enumerate(zip(cells, F([0.25, 0, 0.25]), strict=True)):
+        near = grey
+        for axis in (1, 2):     # where red or blue blocks are
+            n = near.shape[axis]
+            side = near.take(np.clip(np.arange(n) + c - 1, 0, n - 1), axis)
+            near = (F(1) - share) * near + share * side
+        ratios.append(at_places(*own) / at_places(*near))
+    return tints, np.array(ratios)
 
 
 def factors(tints, parts):
@@ -111,18 +125,19 @@ def factors(tints, parts):
 
     def of_cells(image, share, axis):
         before, behind = F(share), F(0.5 - share)
-        return twice(image, axis, lambda a, b, c: (F(1) - before) * b + before * a,
-                     lambda a, b, c: (F(1) - behind) * b + behind * c)
+        if axis == 1:
+            return twice(image, axis, lambda a, b, c: (F(1) - before) * b + before * a,
+                         lambda a, b, c: (F(1) - behind) * b + behind * c)
+        return twice(image, axis, lambda a, b, c: b + before * (a - b),
+                     lambda a, b, c: b + behind * (c - b))
 
     def of_blocks(image, axis):
         return twice(image, axis, lambda a, b, c: F(0.75) * b + F(0.25) * a,
                      lambda a, b, c: F(0.75) * b + F(0.25) * c)
 
     out = []
-    for c, (tint, part) in enumerate(zip(tints, parts, strict=True)):
-        x, y, d = of_cells(of_cells(part, 0.25 * c, 1), 0.25 * c, 2)
-        blocks = tint * np.maximum([(1 + x) + (y + d), (1 - x) + (y - d),
-                                    (1 + x) - (y + d), (1 - x) - (y - d)], F(0.02))
+    for c, (tint, ratio) in enumerate(zip(tints, parts, strict=True)):
+        blocks = tint * of_cells(of_cells(ratio, 0.25 * c, 1), 0.25 * c, 2)
         pixels = of_blocks(blocks, 2)
         pixels[..., 0], pixels[..., -1] = blocks[..., 0], blocks[..., -1]
         out.append(of_blocks(pixels, 1))

@@ -60,6 +60,11 @@ def binomial(image, axis):
     return (before + after) + F32(2) * image
 
 
+def apart(image, axis):
+    before, after = beside(image, axis, 2)
+    return (before + after) + F32(2) * image
+
+
 def second_difference(image, axis):
     before, after = beside(image, axis, 1)
     return F32(2) * image - (before + after)
@@ -81,7 +86,7 @@ def window(terms):
 
 
 def guided(mosaic, layout, clean=None, variance=0, floor=1e-3, across=0.3, gain=3.0,
-           most=2.0, additive=1.0, noise=3.5):
+           most=2.0, additive=1.0, noise=3.5, coarse=0.0):
     own = mosaic.astype(F32)
     y, x = np.indices(own.shape)
     right, down = (F32(1) - F32(2) * (i % 2).astype(F32) for i in (x, y))
@@ -114,8 +119,14 @@ def guided(mosaic, layout, clean=None, variance=0, floor=1e-3, across=0.3, gain=
     share = F32(1) + change
     detail = (share * own + additive * (own - change * mean)) / (
         share * share + additive) - mean
+    if coarse:
+        more = mean - sixteenth * apart(apart(mean, 1), 0)
+        power = sixteenth * apart(apart(more * more, 1), 0)
+        noisy = F32(coarse) * (least * (mean * mean))
+        mean_kept = mean - np.minimum(noisy / (power + tiny), F32(1)) * more
     power, trusted = (binomial(binomial(a, 1), 0) for a in (
         trust * (detail * detail), trust * np.ones_like(own)))
+    mean = mean_kept if coarse else mean
     taken = F32(1) - trusted * (F32(noise) * (least * (mean * mean))) / (
         power + tiny * trusted)
     dn = mean + np.maximum(taken, F32(0)) * detail

@@ -240,7 +240,7 @@ def test_the_kernel_checks_sizes_itself():
     mosaic, places = np.zeros((4, 4), np.uint8), np.arange(4, dtype=np.intp)
     out, clean = np.zeros((4, 4, 4), np.float32), np.zeros((0, 0), np.uint8)
     noise = np.zeros((0, 0), np.float32)
-    scratch = np.zeros(131 * 36 + 32, np.float32)
+    scratch = np.zeros(144 * 36 + 32, np.float32)
     constants = np.ones(1, GUIDED_DTYPE)
     with pytest.raises(ValueError, match="sides >= 2"):
         kernel(mosaic[:1], clean, noise, places, constants, scratch, out)
