@@ -52,6 +52,7 @@ def test_a_lie_costs_what_it_may(name, tmp_path):
 @pytest.mark.parametrize(("name", "seed", "number"), [
     ("aedat4", 2611250540, 6268), ("aedat4", 2611250540, 27232),
     ("aedat4", 2611250540, 16636), ("aedat4", 2611251045, 69880),
+    ("aedat4", 580001, 17512),
     ("aedat31", 2611250540, 2296),
     ("aedat31", 777001, 7452), ("aedat31", 777001, 34952), ("aedat31", 77, 80),
     ("ros1", 2611251014, 748)])
@@ -76,7 +77,8 @@ def test_every_mutator_makes_another_file(name):
 
 
 @pytest.mark.parametrize("name", WITH_PACKETS)
-@pytest.mark.parametrize("kind", ["longer", "shorter", "swallows", "hides"])
+@pytest.mark.parametrize("kind", ["longer", "shorter", "swallows", "hides",
+                                  "headless"])
 def test_packets_beside_a_damaged_one_are_delivered(name, kind, tmp_path):
     from targets import whole_parts
     size_at, head = {"aedat4": (4, 24), "aedat31": (20, 28)}[name]
@@ -89,6 +91,8 @@ def test_packets_beside_a_damaged_one_are_delivered(name, kind, tmp_path):
                 packet += bytes(100_000)
             elif kind == "shorter":
                 del packet[-5:]
+            elif kind == "headless":
+                del packet[:4]
             elif kind == "hides":    # it seems to end where the next one does
                 if len(packet) < head + following:
                     continue

@@ -24,7 +24,7 @@ from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.files import ProblemLog, clock_text
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.search import Search
-from pdavis_cv.recording.timeline import NEVER
+from pdavis_cv.recording.timeline import NEVER, SEGMENT_US
 
 MAGIC = b"#!AER-DAT4.0\r\n"
 COMPRESSIONS = ("none", "LZ4", "LZ4_HIGH", "ZSTD", "ZSTD_HIGH")
@@ -192,12 +192,12 @@ class Aedat4File:
             # Data resemble the beginning of a packet by chance once in 10**19 bytes, so
             # if one begins inside another, the other lost bytes or its size is wrong.
             inside = next(search.places(at + 1, after), None)
-            if inside is not None:
+            if inside is not None and not self._headless(entry, after - inside):
                 self.log.damage(
                     at, f"byte {at}: a packet that should end at byte {after} "
                     f"ends at {inside}", offset=at)
                 entry = entry._replace(size=max(inside - entry.offset, 0))
-                after = inside
+            after = after if inside is None else inside
             following = self._plausible(after, limit)
             yield entry
             at, entry = after, following
@@ -217,8 +217,20 @@ class Aedat4File:
         elif self.compression.startswith("ZSTD"):
             right = payload[:4] == _ZSTD_MAGIC
         else:
-            right = size >= 8 and int.from_bytes(payload[:4], "little") == size - 4
+            right = (int.from_bytes(payload[:4], "little") == size - 4
+                     and payload[8:12] == self.streams[stream].kind.encode())
         return Entry(stream, at + 8, size) if right else None
+
+    def _headless(self, entry: Entry, overlap: int) -> bool:
+        """Return whether the packet after this one lost its first bytes, not this one.
+
+        The last bytes of events can be the number of a stream.
+        """
+        times = None
+        if overlap < _PACKET.size and self.streams[entry.stream].kind == "EVTS":
+            with contextlib.suppress(PayloadError):
+                times = samples.span("EVTS", self.table(entry))
+        return times is not None and 0 <= times[1] - times[0] <= SEGMENT_US
 
     def _is_index(self, at: int) -> bool:
         head = self.reader.read(at, _HEAD)
