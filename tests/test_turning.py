@@ -10,6 +10,7 @@ from turning_pixels import Still, errors, events_of, rms
 import pdavis_cv
 from pdavis_cv import _kernels
 from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.fusion import turning_speed
 from pdavis_cv.fusion.turning_speed import found_hz, found_segments
 from pdavis_cv.reconstruct.turning import TurningRegression
 from pdavis_cv.recording.base import TRIGGER_DTYPE, ApsFrame
@@ -559,6 +560,15 @@ def test_a_speed_is_found_and_followed(hz, drift, ramp):
     error = found - true
     assert np.abs(error - np.median(error)).max() < 0.002
     assert rms(np.gradient(found) / np.gradient(true) - 1) < 3e-4
+
+
+def test_a_bound_on_events_keeps_all_events_of_some_pixels(few, monkeypatch):
+    """With other events of a block its phase is another, which looks like a turn."""
+    monkeypatch.setattr(turning_speed, "_MOST_EVENTS", 2 * len(few.events) // 3)
+    t, block, _ = turning_speed._events(as_recording(few))
+    assert 0.2 < len(t) / len(few.events) < 0.8
+    kept = np.isin(few.events["x"], block)
+    np.testing.assert_array_equal(t, few.events["t"][kept] / 1e6)
 
 
 @pytest.fixture(scope="module")

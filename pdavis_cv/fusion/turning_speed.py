@@ -74,26 +74,29 @@ def _events(
 ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]]:
     """Return times in s, block and sign of a bounded number of events."""
     width = recording.info.sensor_size[1]
-    across = -(-width // _BLOCK)
     parts, kept, step, start = [np.empty((3, 0), np.int64)], 0, 1, None
     for packet in recording.packets():
         events = packet.events
         if not len(events):
             continue
         start = int(events["t"][0]) if start is None else start
-        pixel = events["x"].astype(np.intp) + events["y"].astype(np.intp) * width
-        part = events[pixel * 7919 % 65_536 % step == 0]
-        parts.append(np.stack([
-            part["t"], part["y"] // _BLOCK * across + part["x"] // _BLOCK,
-            2 * part["p"].astype(np.int64) - 1]).astype(np.int64))
-        kept += len(part)
-        if kept > _MOST_EVENTS:     # keep the events of half of the pixels
+        pixel = events["x"].astype(np.int64) + events["y"].astype(np.int64) * width
+        parts.append(_of_some_pixels(
+            np.stack([events["t"], pixel, 2 * events["p"].astype(np.int64) - 1]), step))
+        kept += parts[-1].shape[1]
+        if kept > _MOST_EVENTS:     # a block's phase is that of the same pixels always
             step *= 2
-            parts, kept = [one[:, ::2] for one in parts], kept // 2
+            parts = [_of_some_pixels(one, step) for one in parts]
+            kept = sum(one.shape[1] for one in parts)
         if seconds is not None and int(events["t"][-1]) - start > seconds * 1e6:
             break
-    t, block, sign = np.concatenate(parts, 1)
+    t, pixel, sign = np.concatenate(parts, 1)
+    block = pixel // width // _BLOCK * -(-width // _BLOCK) + pixel % width // _BLOCK
     return t / 1e6, block.astype(np.intp), sign.astype(np.float64)
+
+
+def _of_some_pixels(events: NDArray[np.int64], step: int) -> NDArray[np.int64]:
+    return events[:, events[1] * 7919 % 65_536 % step == 0]
 
 
 def _strongest(
