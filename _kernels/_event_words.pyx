@@ -146,8 +146,7 @@ cdef inline Py_ssize_t single_events(
     cdef bint fall = False
     cdef Py_ssize_t k = s[FILLED], guess = k + wait[0]
     while i + 3 < n and k <= room:
-        if k >= guess and (words[i] >> 12 == 6) & (
-                (words[i + 1] & 0xF7FF) < height):
+        if k >= guess and (words[i] >> 12 == 6) & ((words[i + 1] & 0xF7FF) < height):
             time, row = high + (words[i] & 0xFFF), words[i + 1] & 0x7FF
             i += 2
         else:

@@ -131,12 +131,8 @@ class EventSlice(NamedTuple):
 
 
 def accumulate(
-    events: Any,
-    shape: Sequence[int],
-    *,
-    start_us: int | None = None,
-    stop_us: int | None = None,
-    out: NDArray[np.int32] | None = None,
+    events: Any, shape: Sequence[int], *, start_us: int | None = None,
+    stop_us: int | None = None, out: NDArray[np.int32] | None = None,
 ) -> NDArray[np.int32]:
     """Count events per pixel and polarity.
 
@@ -175,12 +171,8 @@ def accumulate(
 
 
 def slices(
-    events: Any,
-    *,
-    duration_us: int | None = None,
-    count: int | None = None,
-    start_us: int | None = None,
-    stop_us: int | None = None,
+    events: Any, *, duration_us: int | None = None, count: int | None = None,
+    start_us: int | None = None, stop_us: int | None = None,
 ) -> Iterator[EventSlice]:
     """Cut events into bins of equal duration or of equal number.
 
@@ -247,13 +239,8 @@ def slices(
 
 
 def voxel_grid(
-    events: Any,
-    shape: Sequence[int],
-    bins: int,
-    *,
-    start_us: int | None = None,
-    stop_us: int | None = None,
-    out: NDArray[np.float32] | None = None,
+    events: Any, shape: Sequence[int], bins: int, *, start_us: int | None = None,
+    stop_us: int | None = None, out: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     """Sum polarities in time bins, each event shared between the two nearest.
 
@@ -306,11 +293,7 @@ def voxel_grid(
 
 
 def time_surface(
-    events: Any,
-    shape: Sequence[int],
-    *,
-    tau_us: float,
-    t_us: int | None = None,
+    events: Any, shape: Sequence[int], *, tau_us: float, t_us: int | None = None,
     out: NDArray[np.float32] | None = None,
 ) -> NDArray[np.float32]:
     """Return exp(-age / tau) of the last event of each pixel and polarity.

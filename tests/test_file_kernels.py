@@ -199,7 +199,8 @@ def test_vectors_of_any_flatbuffer_equal_their_twin():
 
 @pytest.mark.parametrize("options", [
     {}, {"block_linked": False}, {"store_size": False, "block_size": 7},
-    {"compression_level": 9}, {"compression_level": -9}])
+    {"compression_level": 9}, {"compression_level": -9}, {"content_checksum": True},
+    {"content_checksum": True, "block_checksum": True, "block_size": 4}])
 def test_packets_of_aedat4_equal_their_twins(options):
     counts = [0, 1, 2, 50, 7000]
     parts = [random_events(n, SIZE, seed=n, stop_us=10 * n + 1, read_only=False)
@@ -229,8 +230,11 @@ def test_packets_of_aedat4_that_are_not_as_usual_are_left():
     good = lz4.frame.compress(data)
     rng = np.random.default_rng(1002)
     noise = rng.integers(0, 256, 40, np.uint8).tobytes()
+    summed = lz4.frame.compress(data, content_checksum=True)
+    assert packets4([summed], [30])[1] == 1
     for bad in (b"", b"x", good[:-4], good[:9], good[:40] + good[50:], noise,
-                lz4.frame.compress(data, content_checksum=True),
+                summed[:-1], summed[:-4], summed[:-1] + bytes([summed[-1] ^ 1]),
+                summed[:200] + bytes([summed[200] ^ 1]) + summed[201:],
                 lz4.frame.compress(data, block_checksum=True),
                 lz4.frame.compress(b""), lz4.frame.compress(data[:-1]),
                 lz4.frame.compress(data.replace(b"EVTS", b"IMUS"))):
@@ -245,12 +249,13 @@ def test_packets_of_aedat4_that_are_not_as_usual_are_left():
             False, np.zeros(9, np.uint8), state4(), np.empty(0, EVENT_DTYPE))
 
 
-def test_damaged_lz4_gives_what_its_library_gives_or_nothing():
+@pytest.mark.parametrize("summed", [False, True])
+def test_damaged_lz4_gives_what_its_library_gives_or_nothing(summed):
     rng = np.random.default_rng(1003)
     events = random_events(600, SIZE, seed=2, read_only=False)
     events["t"][100:200] = 7 << 40
     data = reference_files.aedat4_flatbuffer(b"EVTS", events)
-    good, taken = lz4.frame.compress(data, block_size=4), 0
+    good, taken = lz4.frame.compress(data, block_size=4, content_checksum=summed), 0
     for _ in range(3000):
         bad = bytearray(good)
         for place in rng.integers(7, len(bad), rng.integers(1, 4)):
@@ -259,12 +264,14 @@ def test_damaged_lz4_gives_what_its_library_gives_or_nothing():
         try:
             wanted = lz4.frame.decompress(bytes(bad))
         except RuntimeError:
-            continue
+            if not summed:
+                continue
+            wanted = data       # what is damaged is beside the data
         taken += done
         if done:
             np.testing.assert_array_equal(got, reference_files.aedat4_events(
                 wanted, 32, 600, *SIZE, first=-(1 << 61)))
-    assert taken > 300
+    assert taken > (50 if summed else 300)
 
 
 def test_any_words_decode_without_harm():

@@ -74,14 +74,9 @@ class ApsFrame(Advises):
     signal: NDArray[np.uint16] | None
 
     def __init__(
-        self,
-        dn: ArrayLike,
-        exposure_start_us: int | NDArray[Any],
-        exposure_end_us: int | NDArray[Any],
-        *,
-        valid: NDArray[np.bool_] | None = None,
-        available_us: int | None = None,
-        full_scale_dn: int = 1023,
+        self, dn: ArrayLike, exposure_start_us: int | NDArray[Any],
+        exposure_end_us: int | NDArray[Any], *, valid: NDArray[np.bool_] | None = None,
+        available_us: int | None = None, full_scale_dn: int = 1023,
         reset: NDArray[np.uint16] | None = None,
         signal: NDArray[np.uint16] | None = None,
     ) -> None:

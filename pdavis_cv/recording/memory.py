@@ -47,12 +47,8 @@ class MemoryRecording(PlainSource, Recording):
 
 
 def recording_from_arrays(
-    events: Any,
-    frames: Iterable[ApsFrame] = (),
-    *,
-    sensor_size: tuple[int, int],
-    layout: Layout | str | None = None,
-    imu: NDArray[Any] | None = None,
+    events: Any, frames: Iterable[ApsFrame] = (), *, sensor_size: tuple[int, int],
+    layout: Layout | str | None = None, imu: NDArray[Any] | None = None,
     triggers: NDArray[Any] | None = None,
 ) -> Recording:
     """Make a recording from arrays.

@@ -69,8 +69,7 @@ class Cursor:
         self, file: Aedat4File, kind: str, entries: list[Entry],
         timeline: Timeline | None, *, size: tuple[int, int],
         scale: samples.FrameScale | None = None, jaer: bool = False,
-        strict: bool = False, memory: Scratch,
-        known: dict[int, _Times],
+        strict: bool = False, memory: Scratch, known: dict[int, _Times],
     ) -> None:
         self.kind = kind
         reach, held = (2, 2) if kind == "FRME" else (
