@@ -436,6 +436,14 @@ def test_images_without_a_valid_pixel_say_why(dn, method, why, name, tmp_path, c
     assert why in text
 
 
+@pytest.mark.parametrize("dn", [1023, None])
+def test_a_turning_analyser_without_a_valid_pixel_says_why(dn, tmp_path, capsys):
+    _written(tmp_path / "in.aedat4", dn, 50)
+    assert run("export", tmp_path / "in.aedat4", "-o", tmp_path / "x.npy", "--fps", 10,
+               "--analyser-rpm", 600, "--thresholds", "nominal") == 0
+    assert "a pixel needs some events within the turns" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("dn", "why"), [
     (1023, "100% of the pixels of its frames are saturated"),
     (None, "needs frames, and there are none")])

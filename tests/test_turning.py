@@ -171,6 +171,17 @@ def test_the_other_direction_mirrors_the_angle(still):
     assert rms(np.rad2deg(angle)) < 1
 
 
+def test_a_silence_of_years_costs_no_estimates(few):
+    late = few.events[-1:].copy()
+    late["t"] = 2**53
+    method = regression(few)
+    looks, look = [], method._look
+    method._look = lambda: looks.append(1) or look()
+    method.add_events(late)
+    assert len(looks) < 20
+    assert method._look_us > 2**53
+
+
 def test_packets_do_not_change_the_images(still):
     whole = at_end(regression(still), still)
     parts = TurningRegression((1, len(still.on)), theta_on=0.23, theta_off=0.27,

@@ -128,6 +128,8 @@ def _why_nothing(
     recording: Recording, method: str, calibration: Calibration | None
 ) -> str:
     """Return the likely reason why no image has a valid pixel."""
+    if method == "turning":
+        return "a pixel needs some events within the turns before it"
     frames = list(itertools.islice(
         (frame for packet in recording.packets() for frame in packet.frames), 10))
     if frames:

@@ -157,10 +157,13 @@ class TurningRegression:
         if self._start is None and len(events):
             self._start = int(events["t"][0])
         while self._learn and len(events) and events["t"][-1] >= self._look_us:
-            first = int(np.searchsorted(events["t"], self._look_us))
+            look = self._look_us
+            first = int(np.searchsorted(events["t"], look))
             self._take(events[:first])
             events = events[first:]
-            self._looks += 1
+            # Times at which there is nothing new, perhaps of years, are passed.
+            silence = (float(events["t"][0]) - look) / self.half_us
+            self._looks += 1 + int(silence // _LOOKS[1])
             for _ in range(_AGAIN):     # as steps are bounded, and mean and pixels one
                 if self._look() < _COMMON:
                     break
