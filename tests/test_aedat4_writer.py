@@ -16,6 +16,7 @@ from pdavis_cv import (
     recording_from_arrays,
     write_aedat4,
 )
+from pdavis_cv.recording.limits import Budget, Limits
 
 SIZE = (12, 16)
 
@@ -48,6 +49,24 @@ def test_what_is_written_reads_back(tmp_path, compression):
         assert (info.start_us, info.stop_us) == (report.start_us, report.stop_us)
         assert (info.event_count, info.frame_count) == (5000, 3)
         assert not again.problems
+
+
+def test_frames_of_zstd_are_unpacked_alike_whatever_came_before():
+    zstandard = pytest.importorskip("zstandard")
+    from pdavis_cv.recording.aedat4.container import PayloadError, decompressed
+    data = (100_000).to_bytes(4, "little") + np.arange(25_000, dtype="<u4").tobytes()
+    stated = zstandard.ZstdCompressor().compress(data)
+    unknown = zstandard.ZstdCompressor(write_content_size=False).compress(data)
+    summed = zstandard.ZstdCompressor(write_checksum=True).compress(data)
+    bad = summed[:-1] + bytes([summed[-1] ^ 1])
+    budget = Budget("x", Limits())
+    for good, damaged in ((stated, bad), (unknown, stated[:-9]), (summed, b""),
+                          (unknown, unknown[:-9]), (stated, b"x"), (unknown, bad)):
+        assert decompressed(good, "ZSTD", budget) == data
+        with pytest.raises(PayloadError):
+            decompressed(damaged, "ZSTD", budget)
+    longer = zstandard.ZstdCompressor().compress(data + b"more")
+    assert decompressed(longer, "ZSTD", budget) == data
 
 
 @pytest.mark.parametrize("compression", ["lz4", "none", "zstd"])

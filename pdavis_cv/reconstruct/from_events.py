@@ -16,17 +16,10 @@ _ONLY = {"mean": ("radius", "hold"),
 
 
 def from_events(
-    shape: Sequence[int],
-    *,
-    theta_on: ArrayLike,
-    theta_off: ArrayLike,
-    offsets: str = "mean",
-    cutoff_hz: float = 0.5,
-    radius: int | None = None,
-    hold: bool | None = None,
-    lookahead_us: int | None = None,
-    bandwidth: tuple[float, float] | None = None,
-    ratio_sigma: float | None = None,
+    shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
+    offsets: str = "mean", cutoff_hz: float = 0.5, radius: int | None = None,
+    hold: bool | None = None, lookahead_us: int | None = None,
+    bandwidth: tuple[float, float] | None = None, ratio_sigma: float | None = None,
     response: ArrayLike | None = None,
 ) -> Reconstructor:
     """Make an EventHighPass, or an EventRedundancy.

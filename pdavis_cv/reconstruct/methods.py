@@ -84,14 +84,10 @@ def factory_of(method: str | Factory) -> Factory:
 
 
 def make_reconstructor(
-    method: str | Factory,
-    shape: tuple[int, int],
-    theta_on: NDArray[np.float32] | float,
-    theta_off: NDArray[np.float32] | float,
-    parameters: Parameters,
-    response: NDArray[np.float64] | None = None,
-    denoise: Parameters | None = None,
-    options: Collection[str] = (),
+    method: str | Factory, shape: tuple[int, int],
+    theta_on: NDArray[np.float32] | float, theta_off: NDArray[np.float32] | float,
+    parameters: Parameters, response: NDArray[np.float64] | None = None,
+    denoise: Parameters | None = None, options: Collection[str] = (),
 ) -> Reconstructor:
     """Make the Reconstructor of a method, given by its name or as a `Factory`.
 

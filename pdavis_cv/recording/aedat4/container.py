@@ -8,9 +8,10 @@ from __future__ import annotations
 import contextlib
 import itertools
 import struct
+from _thread import get_ident  # threading is slow to import
 from collections.abc import Iterator
-from functools import partial
-from typing import NamedTuple
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -389,17 +390,28 @@ def _unpack_zstd(payload: bytes, most: int) -> bytes:
         raise RecordingError(
             "this file is compressed with zstd: pip install zstandard"
         ) from None
+    unpack = _zstd_of(get_ident())
     try:
-        with zstandard.ZstdDecompressor(max_window_size=MAX_PAYLOAD).stream_reader(
-                payload) as stream:
-            data: bytes = stream.read(4)
-            size = min(_declared(data), most)
-            data += stream.read(size - 4)
+        if zstandard.get_frame_parameters(payload).content_size <= most:
+            data: bytes = unpack.decompress(payload)
+            size = _declared(data)
+        else:       # unknown, or too much
+            with unpack.stream_reader(payload) as stream:
+                data = stream.read(4)
+                size = min(_declared(data), most)
+                data += stream.read(size - 4)
     except zstandard.ZstdError as error:
         raise PayloadError(f"zstd: {error}") from error
     if len(data) < size:
         raise PayloadError(f"zstd: {len(data)} of {size} bytes")
-    return data
+    return data[:size]
+
+
+@lru_cache(16)
+def _zstd_of(thread: int) -> Any:
+    """Return a decompressor for a thread; making one takes longer than a packet."""
+    import zstandard
+    return zstandard.ZstdDecompressor(max_window_size=MAX_PAYLOAD)
 
 
 def _declared(data: bytes) -> int:
