@@ -36,10 +36,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         report = recording.scan() if args.scan else None
         camera = learned_parts(learned_pixels(recording)) if (
             args.scan and recording.info.frame_count != 0) else {}
-        advice = [*advise(recording), *_clock(
-            camera.get("clock_offset_us", 0), camera.get("learned", {}).get(
-                "clock_offset_sigma_us", 0)),
-            *_modulation(recording)] if args.scan else []
+        turning = _modulation(recording) if args.scan else []
+        advice = [  # a modulation has lines at 100 and 120 Hz, too
+            *(one for one in advise(recording)
+              if one.topic != "flicker" or not turning),
+            *_clock(camera.get("clock_offset_us", 0), camera.get("learned", {}).get(
+                "clock_offset_sigma_us", 0)), *turning] if args.scan else []
         problems = recording.problems
         name = args.file if isinstance(args.file, str) else recording.name
         if args.json:
