@@ -5,15 +5,13 @@ import pickle
 import numpy as np
 import pytest
 import reference_turning as reference
-from turning_pixels import Still, errors, events_of, rms
+from turning_pixels import Still, as_recording, errors, events_of, pulses, rms, turned
 
 import pdavis_cv
 from pdavis_cv import _kernels
 from pdavis_cv.events import EVENT_DTYPE
-from pdavis_cv.fusion import turning_speed
-from pdavis_cv.fusion.turning_speed import found_hz, found_segments
 from pdavis_cv.reconstruct.turning import TurningRegression
-from pdavis_cv.recording.base import TRIGGER_DTYPE, ApsFrame
+from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.tools.main import main
 from pdavis_cv.turning import PulseClock, TurningAnalyser
 
@@ -337,21 +335,6 @@ def test_the_kernel_stops_at_the_first_bad_event(still):
 # ---- the angle -----------------------------------------------------------------------
 
 
-def pulses(hz, seconds, n=1, drift=0.0, ramp=0.0):
-    """Return times of pulses, us, and turns by then, of a motor."""
-    t = np.linspace(0, seconds, 200_001)
-    speed = hz * (1 + drift * t / 10) * np.clip(t / ramp if ramp else 1, 0.05, 1)
-    turns = np.concatenate(([0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(t))))
-    which = np.arange(0, math.floor(turns[-1] * n) + 1)
-    return np.interp(which / n, turns, t) * 1e6, (t * 1e6, turns)
-
-
-def turned(segments, t_us):
-    """Return turns of the analyser at times, from its segments."""
-    k = np.maximum(np.searchsorted(segments[:, 0], t_us, "right") - 1, 0)
-    return (segments[k, 1] + segments[k, 2] * (t_us - segments[k, 0])) / (4 * np.pi)
-
-
 @pytest.mark.parametrize("n", [1, 12])
 @pytest.mark.parametrize(("drift", "ramp"), [(0, 0), (0.02, 0), (-0.02, 0), (0.02, 3)])
 def test_pulses_tell_the_angle(n, drift, ramp):
@@ -422,16 +405,6 @@ def test_too_few_pulses_are_an_error():
 
 
 # ---- fuse() and the commands ---------------------------------------------------------
-
-
-def as_recording(scene, pulses_us=()):
-    """Return a scene as a recording of blocks of 16 pixels that see the same."""
-    events = np.repeat(scene.events, 2)
-    events["x"] = events["x"] * 16 + np.arange(len(events)) % 2
-    triggers = np.zeros(len(pulses_us), TRIGGER_DTYPE)
-    triggers["t"], triggers["type"] = pulses_us, 1
-    return pdavis_cv.recording_from_arrays(
-        events, sensor_size=(1, 16 * len(scene.on)), triggers=triggers)
 
 
 def last_image(recording, scene, **options):
@@ -527,59 +500,6 @@ def test_options_that_do_not_fit_are_named(few, options, match):
 def test_the_analyser_must_be_one(few):
     with pytest.raises(TypeError, match="of images: analyser_steps of open"):
         pdavis_cv.fuse(as_recording(few), analyser=3)
-
-
-def test_an_event_alone_has_no_speed():
-    events = np.zeros(1, EVENT_DTYPE)
-    assert found_hz(pdavis_cv.recording_from_arrays(events, sensor_size=(4, 4))) is None
-
-
-def test_light_that_is_not_modulated_has_no_speed():
-    rng = np.random.default_rng(0)
-    events = np.zeros(20_000, EVENT_DTYPE)
-    events["t"] = np.sort(rng.integers(0, 1_500_000, len(events)))
-    events["x"], events["p"] = rng.integers(0, (320, 2), (len(events), 2)).T
-    recording = pdavis_cv.recording_from_arrays(events, sensor_size=(1, 320))
-    assert found_hz(recording) is None
-    with pytest.raises(ValueError, match="must show a modulation"):
-        found_segments(recording)
-
-
-def test_a_camera_that_is_moved_by_hand_shows_no_turning_analyser(data_dir):
-    with pdavis_cv.open_recording(data_dir / "davis346.aedat4") as recording:
-        assert found_hz(recording) is None
-        with pytest.raises(ValueError, match="must show a modulation"):
-            found_segments(recording)
-
-
-@pytest.mark.parametrize(("hz", "drift", "ramp"), [
-    pytest.param(5, 0.02, 0, marks=pytest.mark.gate), (60, 0.02, 0),
-    pytest.param(20, -0.02, 0, marks=pytest.mark.gate), (20, 0.02, 3)])
-def test_a_speed_is_found_and_followed(hz, drift, ramp):
-    _, (at, turns) = pulses(hz, 6, 1, drift, ramp)
-
-    class Drifting(Still):
-        def light(self, t):
-            angle = 2 * np.pi * np.interp(t * 1e6, at, turns)
-            return 1 + self.dolp * np.cos(2 * (angle - self.aop))
-
-    scene = Drifting(24, hz=hz, seconds=6, step=2e-4)
-    segments = found_segments(as_recording(scene))
-    times = np.linspace((ramp + 0.5) * 1e6, 5.9e6, 2000)
-    found, true = turned(segments, times), np.interp(times, at, turns)
-    assert np.ptp(found) == pytest.approx(np.ptp(true), rel=1e-4)
-    error = found - true
-    assert np.abs(error - np.median(error)).max() < 0.002
-    assert rms(np.gradient(found) / np.gradient(true) - 1) < 3e-4
-
-
-def test_a_bound_on_events_keeps_all_events_of_some_pixels(few, monkeypatch):
-    """With other events of a block its phase is another, which looks like a turn."""
-    monkeypatch.setattr(turning_speed, "_MOST_EVENTS", 2 * len(few.events) // 3)
-    t, block, _ = turning_speed._events(as_recording(few))
-    assert 0.2 < len(t) / len(few.events) < 0.8
-    kept = np.isin(few.events["x"], block)
-    np.testing.assert_array_equal(t, few.events["t"][kept] / 1e6)
 
 
 @pytest.fixture(scope="module")

@@ -3,9 +3,13 @@
 Each follows the logarithm of the light, linear between samples, and gives an event
 where it has moved by a threshold since the last one.
 """
+import math
+
 import numpy as np
 
+import pdavis_cv
 from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.recording.base import TRIGGER_DTYPE
 
 
 def events_of(light, on, off, seconds, *, step=1e-4, jitter=0.0, seed=0):
@@ -72,3 +76,28 @@ def errors(found, dolp, aop):
 
 def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def pulses(hz, seconds, n=1, drift=0.0, ramp=0.0):
+    """Return times of pulses, us, and turns by then, of a motor."""
+    t = np.linspace(0, seconds, 200_001)
+    speed = hz * (1 + drift * t / 10) * np.clip(t / ramp if ramp else 1, 0.05, 1)
+    turns = np.concatenate(([0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(t))))
+    which = np.arange(0, math.floor(turns[-1] * n) + 1)
+    return np.interp(which / n, turns, t) * 1e6, (t * 1e6, turns)
+
+
+def turned(segments, t_us):
+    """Return turns of the analyser at times, from its segments."""
+    k = np.maximum(np.searchsorted(segments[:, 0], t_us, "right") - 1, 0)
+    return (segments[k, 1] + segments[k, 2] * (t_us - segments[k, 0])) / (4 * np.pi)
+
+
+def as_recording(scene, pulses_us=()):
+    """Return a scene as a recording of blocks of 16 pixels that see the same."""
+    events = np.repeat(scene.events, 2)
+    events["x"] = events["x"] * 16 + np.arange(len(events)) % 2
+    triggers = np.zeros(len(pulses_us), TRIGGER_DTYPE)
+    triggers["t"], triggers["type"] = pulses_us, 1
+    return pdavis_cv.recording_from_arrays(
+        events, sensor_size=(1, 16 * len(scene.on)), triggers=triggers)

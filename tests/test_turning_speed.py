@@ -1,0 +1,68 @@
+"""The speed of a turning analyser, found from events."""
+
+import numpy as np
+import pytest
+from turning_pixels import Still, as_recording, pulses, rms, turned
+
+import pdavis_cv
+from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.fusion import turning_speed
+from pdavis_cv.fusion.turning_speed import found_hz, found_segments
+
+
+@pytest.fixture(scope="module")
+def few():
+    return Still(40, seconds=1.5, degree=(0.35, 0.95))
+
+
+def test_an_event_alone_has_no_speed():
+    events = np.zeros(1, EVENT_DTYPE)
+    assert found_hz(pdavis_cv.recording_from_arrays(events, sensor_size=(4, 4))) is None
+
+
+def test_light_that_is_not_modulated_has_no_speed():
+    rng = np.random.default_rng(0)
+    events = np.zeros(20_000, EVENT_DTYPE)
+    events["t"] = np.sort(rng.integers(0, 1_500_000, len(events)))
+    events["x"], events["p"] = rng.integers(0, (320, 2), (len(events), 2)).T
+    recording = pdavis_cv.recording_from_arrays(events, sensor_size=(1, 320))
+    assert found_hz(recording) is None
+    with pytest.raises(ValueError, match="must show a modulation"):
+        found_segments(recording)
+
+
+def test_a_camera_that_is_moved_by_hand_shows_no_turning_analyser(data_dir):
+    with pdavis_cv.open_recording(data_dir / "davis346.aedat4") as recording:
+        assert found_hz(recording) is None
+        with pytest.raises(ValueError, match="must show a modulation"):
+            found_segments(recording)
+
+
+@pytest.mark.parametrize(("hz", "drift", "ramp"), [
+    pytest.param(5, 0.02, 0, marks=pytest.mark.gate), (60, 0.02, 0),
+    pytest.param(20, -0.02, 0, marks=pytest.mark.gate), (20, 0.02, 3)])
+def test_a_speed_is_found_and_followed(hz, drift, ramp):
+    _, (at, turns) = pulses(hz, 6, 1, drift, ramp)
+
+    class Drifting(Still):
+        def light(self, t):
+            angle = 2 * np.pi * np.interp(t * 1e6, at, turns)
+            return 1 + self.dolp * np.cos(2 * (angle - self.aop))
+
+    scene = Drifting(24, hz=hz, seconds=6, step=2e-4)
+    segments = found_segments(as_recording(scene))
+    times = np.linspace((ramp + 0.5) * 1e6, 5.9e6, 2000)
+    found, true = turned(segments, times), np.interp(times, at, turns)
+    assert np.ptp(found) == pytest.approx(np.ptp(true), rel=1e-4)
+    error = found - true
+    assert np.abs(error - np.median(error)).max() < 0.002
+    assert rms(np.gradient(found) / np.gradient(true) - 1) < 3e-4
+
+
+def test_a_bound_on_events_keeps_all_events_of_some_pixels(few, monkeypatch):
+    """With other events of a block its phase is another, which looks like a turn."""
+    monkeypatch.setattr(turning_speed, "_MOST_EVENTS", 2 * len(few.events) // 3)
+    t, block, _ = turning_speed._events(as_recording(few))
+    assert 0.2 < len(t) / len(few.events) < 0.8
+    kept = np.isin(few.events["x"], block)
+    np.testing.assert_array_equal(t, few.events["t"][kept] / 1e6)
