@@ -37,7 +37,7 @@
 #define PD_LESS 2.29
 #define PD_HOT_MEMORY 8.0
 #define PD_UNKNOWN 1e3          /* variance of a pixel without a sample */
-#define PD_DOUBTFUL 9.0         /* squared sigmas: events contradict the line */
+#define PD_DOUBTFUL 9.0         /* squared sigmas: pixels contradict events */
 /* s since an event, and growth, of the times between which a silence is linear. */
 #define PD_SMOOTH_FROM 0.045
 #define PD_KNOT 1.1
@@ -350,13 +350,12 @@ PDAVIS_CLONES PDAVIS_UNUSED static void back_row(
 PDAVIS_CLONES PDAVIS_UNUSED static void show_row(
     const float *restrict level, const float *restrict slope,
     const float *restrict variance, const float *restrict grows,
-    const float *restrict bends, const float *restrict share, float since,
-    float ripple, float most, ptrdiff_t n, float *restrict log, float *restrict out,
+    const float *restrict bends, float since, float ripple, float most, ptrdiff_t n, float *restrict log, float *restrict out,
     uint8_t *restrict valid)
 {
     ptrdiff_t i;
     for (i = 0; i < n; i++) {
-        log[i] = share[i] * log[i] + level[i] + since * slope[i];
+        log[i] += level[i] + since * slope[i];
         out[i] = variance[i] + since * (grows[i] + since * bends[i]);
     }
     if (ripple != 0.0f)

@@ -60,9 +60,9 @@ cdef extern from "_increments.h" nogil:
     void back_row(const float* z, const float* variance, const float* said,
                   const double* noise, Py_ssize_t n, double* b, double* v)
     void show_row(const float* level, const float* slope, const float* variance,
-                  const float* grows, const float* bends, const float* share,
-                  float since, float ripple, float most, Py_ssize_t n, float* log,
-                  float* out, uint8_t* valid)
+                  const float* grows, const float* bends, float since,
+                  float ripple, float most, Py_ssize_t n, float* log, float* out,
+                  uint8_t* valid)
     void mean_row(const float* own, const float* cell, const float* other,
                   const float* near, const float* up, const float* down, Py_ssize_t n,
                   float* out)
@@ -118,22 +118,19 @@ cdef struct anchor_t:
     float[6] p              # covariance of the three, upper triangle by rows
     float hot               # log odds that events of this pixel say nothing
     float motion            # of a hot pixel: mean squared change between frames
-    float sampled           # how many samples there have been, at most HOT_MEMORY
-    float slope             # ln/s: from the sample before to the last one
-    float bend2             # (ln/s^2)^2: mean square of the curvature at samples
-    float back              # ln: mean of what events passed against samples
-    float spare             # ln: mean of what they passed beyond these
+    float sampled           # 1: there has been a sample
 
 # What a read needs of a pixel until its events or frames change.
 cdef struct shown_t:
     int64_t last, next      # times of the events around, next: 2^62 if there is none
     float ahead, behind     # ln(I + black) at the last event, from frames before, after
-    float p_ahead, p_behind  # their variances, without what grows with time
-    float common            # their covariance: of the thresholds
+    float p_behind          # variance of the frame after, < 0: none
+    float[3] p              # of the level before, and its covariances with both gains
+    float[3] gains          # covariance of the thresholds' relative errors
+    float[2] since, until   # ln: OFF and ON, from the frame before and to the one after
     float[2] theta          # OFF, ON
     float corner            # Hz
-    float before, next_weight, drift, extra, opened
-    float back, passed      # ln: against both frames, and in all, by events between
+    float before, next_weight, drift, opened
     int8_t sign, next_sign, context, state
 
 # What a pixel's counts at other times, and now, say of it, of its macropixel and of its
@@ -181,14 +178,12 @@ cdef enum:
     AFTER = 2                   # and a pixel whose events say nothing
     HOT = 4
     FLICKERS = 8
-    ENDED = 16
     LEARN_EVENTS = 3            # events between two frames from which gains are learned
     LEVEL = 0                   # planes, as show_row takes them
     SLOPE = 1
     VARIANCE = 2
     GROWS = 3
     BENDS = 4
-    SHARE = 5
 
 cdef struct look_t:
     around_t around

@@ -94,7 +94,6 @@ def increments_pass(tuple old not None, tuple new not None,
     cdef double* seconds
     cdef double* noise
     cdef bint quiet
-    cdef double level, off, on
     first, last = bands
     frame_of(old, h, w, &a)
     frame_of(new, h, w, &b)
@@ -122,21 +121,15 @@ def increments_pass(tuple old not None, tuple new not None,
                 at = y * w + x
                 one = &anchors[y, x]
                 quiet = due[y, x] == QUIET
-                level, off, on = one.log, 0.0, 0.0
                 if quiet and one.sampled > 0.0:
                     one.log, one.p[0], one.p[1] = row[x], row[w + x], row[2 * w + x]
                     one.p[2], one.motion = row[3 * w + x], row[4 * w + x]
                     middles[y, x] = one.log if b.variance[at] > 0.0 else NAN
                 else:
-                    if not quiet:
-                        off = b.nodes[at].light[0] - a.nodes[at].light[0]
-                        on = b.nodes[at].light[1] - a.nodes[at].light[1]
                     middles[y, x] = pass_one(
                         &none if quiet else a.nodes + at,
                         &none if quiet else b.nodes + at, b.log[at], b.variance[at],
                         b.said[at], seconds[x], c, one)
-                if b.variance[at] > 0.0:
-                    bend(level, off, on, seconds[x], one)
     free(seconds)
 
 
@@ -148,6 +141,7 @@ cdef inline float pass_one(const node_t* old, const node_t* new, float log,
     cdef bint hot = a.hot > PRIOR_ODDS, jump
     if a.sampled == 0.0:
         if variance > 0.0:
+            a.sampled = 1.0
             a.log = log
             a.p[0] = variance
             if new.light[0] != 0.0 or new.light[1] != 0.0:
@@ -204,25 +198,6 @@ cdef inline float pass_one(const node_t* old, const node_t* new, float log,
     a.p[2] += k0 * k2 / s - k0 * a.p[2] - k2 * p0
     a.p[0] = k0 * r
     return a.log if hot else a.log + new.middle
-
-
-cdef inline void bend(double before, double off, double on, double seconds,
-                      anchor_t* a) noexcept nogil:
-    """Note how level and events went on from the sample before to the last one.  (14)
-    """
-    cdef double slope, turn
-    if a.sampled > 0.0 and seconds > 0.0:
-        a.spare += <float>((fabs(off) + fabs(on) - fabs(a.log - before) - a.spare)
-                           / a.sampled)
-        if a.log < before:
-            off = on
-        a.back += <float>((fabs(off) - a.back) / a.sampled)
-        slope = (a.log - before) / seconds
-        if a.sampled > 1.0:
-            turn = (slope - a.slope) / seconds
-            a.bend2 += <float>((turn * turn - a.bend2) / (a.sampled - 1.0))
-        a.slope = <float>slope
-    a.sampled = min(a.sampled + 1.0, HOT_MEMORY)
 
 
 def increments_back(list frames not None, const int64_t[:, ::1] due not None,

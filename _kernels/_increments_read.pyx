@@ -4,8 +4,8 @@ from libc.stdint cimport int32_t, int64_t, uint8_t, uint32_t
 from libc.string cimport memset
 
 from _kernels._increments cimport (
-    AFTER, BEFORE, BENDS, CHANGED, DOUBTFUL, ENDED, FLICKERS, GROWS, HOT, KNOT, LEVEL,
-    NEVER, PER_TURN, PRIOR_ODDS, RESTS, SHARE, SLOPE, SMOOTH_FROM, VARIANCE, anchor_t,
+    AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEVEL,
+    NEVER, PER_TURN, PRIOR_ODDS, RESTS, SLOPE, SMOOTH_FROM, VARIANCE, anchor_t,
     around_t, at_rest, camera_of, camera_t, course_of, course_t, drift_of, lead_of,
     mean_at, node_t, pixel_t, rest_planes, rest_row, show_row, shown_t, silence_of,
     silence_t, silent_variance, stored_t, weight)
@@ -22,18 +22,25 @@ cdef extern from "_prefetch.h" nogil:
 
 cdef enum:
     HOP = 8                     # pixels of the list between prefetches
+    OPEN_BEFORE = 16            # flags of shown_t.state: all of the exposure before, or
+    OPEN_AFTER = 32             # after, lies in the silence since the last event
 
 cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t* node,
                           const anchor_t* a, const node_t* later, float said,
-                          double b, double v, bint alone, const double* cov,
-                          const camera_t* c,
+                          double b, double v, const double* cov,
+                          const camera_t* c, const int64_t* begins,
                           const lamp_t* lamp, shown_t* s) noexcept nogil:
     cdef const stored_t* e = &p.at
-    cdef double[2] since, until
-    cdef double s00, s01, s11, passed = 0.0, after = 0.0, each, y, rate
+    cdef double each, y, rate
     cdef bint hot = a.hot > PRIOR_ODDS
+    cdef int k
     s.state = HOT if hot else 0
     s.last = e.t if e.run > 0 else -NEVER
+    if e.run > 0 and not hot:
+        if open_since(node.open_t, p) == e.t <= begins[0]:
+            s.state |= OPEN_BEFORE
+        if open_since(later.open_t, p) == e.t <= begins[1]:
+            s.state |= OPEN_AFTER
     s.sign = e.sign if e.run > 0 else 0
     s.context = e.context
     s.before = e.before
@@ -55,35 +62,23 @@ cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t*
                 lamp, c.hz + s.corner, <double>s.next, &rate))
     s.theta[0] = 0.0 if hot else <float>((1.0 + a.gain[0]) * c.theta[0])
     s.theta[1] = 0.0 if hot else <float>((1.0 + a.gain[1]) * c.theta[1])
-    s.extra = s.common = s.ahead = s.behind = 0.0
-    s.p_ahead = s.p_behind = -1.0
+    s.ahead = s.behind = 0.0
+    s.p_behind = -1.0
     s.opened = node.open_variance if node.open_t == s.last else 0.0
-    # Relative error of the thresholds, of this pixel and of all.
-    s00 = a.p[3] + cov[0]
-    s01 = a.p[4] + cov[1]
-    s11 = a.p[5] + cov[2]
-    since[0], since[1] = e.light[0] - node.light[0], e.light[1] - node.light[1]
-    until[0], until[1] = later.light[0] - e.light[0], later.light[1] - e.light[1]
-    if not hot and a.sampled > 0.0:
-        passed = fabs(since[0]) / c.theta[0] + fabs(since[1]) / c.theta[1]
-    if not hot and v > 0.0:
-        after = fabs(until[0]) / c.theta[0] + fabs(until[1]) / c.theta[1]
+    s.p[0], s.p[1], s.p[2] = a.p[0], a.p[1], a.p[2]
+    s.gains[0], s.gains[1] = a.p[3] + <float>cov[0], a.p[4] + <float>cov[1]
+    s.gains[2] = a.p[5] + <float>cov[2]
+    for k in range(2):
+        s.since[k] = 0.0 if hot else <float>(e.light[k] - node.light[k])
+        s.until[k] = 0.0 if hot else <float>(later.light[k] - e.light[k])
     if a.sampled > 0.0:
         s.state |= BEFORE
         s.ahead = a.log
-        s.p_ahead = a.p[0]
         if hot:
-            s.p_ahead += a.motion
+            s.p[0] += a.motion
         else:
             s.ahead += <float>(
-                y - node.mean + since[0] * a.gain[0] + since[1] * a.gain[1])
-            s.p_ahead += <float>(
-                2.0 * (since[0] * a.p[1] + since[1] * a.p[2]
-                       + since[0] * since[1] * s01)
-                + since[0] * since[0] * s00 + since[1] * since[1] * s11
-                + c.gamma * passed)
-            s.p_ahead = max(s.p_ahead, 0.0)     # a negative one would be of no sample
-        s.extra = <float>(0.25 * c.beta * min(passed, 1.0))
+                y - node.mean + s.since[0] * a.gain[0] + s.since[1] * a.gain[1])
     if v > 0.0:
         s.state |= AFTER
         s.behind = <float>b - said
@@ -91,21 +86,8 @@ cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t*
         if hot:
             s.p_behind += a.motion
         else:
-            if alone:
-                s.p_behind += <float>(0.25 * c.beta * min(passed + after, 1.0))
             s.behind -= <float>(
-                later.mean - y + until[0] * a.gain[0] + until[1] * a.gain[1])
-            s.p_behind += <float>(until[0] * until[0] * s00
-                                  + 2.0 * until[0] * until[1] * s01
-                                  + until[1] * until[1] * s11 + c.gamma * after)
-            s.common = -<float>(until[0] * (a.p[1] + since[0] * s00 + since[1] * s01)
-                                + until[1] * (a.p[2] + since[0] * s01 + since[1] * s11))
-    s.back = <float>fabs(since[b < a.log] + until[b < a.log])
-    s.passed = <float>(fabs(since[0] + until[0]) + fabs(since[1] + until[1]))
-    each = passed + after
-    each = 0.5 * c.beta * min(each, 1.0) / each if each > 0.0 else 0.0
-    s.p_ahead += <float>(each * passed)
-    s.p_behind += <float>(each * after)
+                later.mean - y + s.until[0] * a.gain[0] + s.until[1] * a.gain[1])
 
 
 cdef struct frames_t:
@@ -148,44 +130,87 @@ cdef inline int frames_of(tuple frames, Py_ssize_t h, Py_ssize_t w,
     return 0
 
 
-cdef inline double line_of(double t, double j, const shown_t* shown, Py_ssize_t at,
-                           Py_ssize_t x, const frames_t* f, double* log,
-                           double* variance) noexcept nogil:
-    """The straight line between the frames around t, and its share in the estimate j,
-    whose variance becomes that of both.  (14)"""
-    cdef const anchor_t* a = f.anchors + at
-    cdef double seconds = 1e-6 * (f.middle[f.w + x] - f.middle[x])
-    cdef double s = 1e-6 * (t - f.middle[x]) / seconds, moved = f.back[at] - a.log
-    cdef double own, both, bend, back, spare, far, share
-    log[0] = a.log + s * moved
-    s = min(max(s, 0.0), 1.0)
-    own = variance[0] - (1.0 - s) * (1.0 - s) * a.p[0] - s * s * f.back[f.size + at]
-    if own <= 0.0:
-        return 0.0
-    bend = (moved / seconds - a.slope) / seconds
-    bend = max(bend * bend, <double>a.bend2)
-    back = a.back + (shown.back - a.back) / a.sampled
-    spare = a.spare + (shown.passed - fabs(moved) - a.spare) / a.sampled
-    spare = max(spare, back)
-    seconds *= seconds
-    both = own + bend * seconds * seconds * s * (1.0 - s) + spare * spare
-    far = (j - log[0]) * (j - log[0]) / (DOUBTFUL * both)
-    share = own / both
-    share *= share / (1.0 + far * far)
-    variance[0] += share * (share * both - 2.0 * own)
-    return share
+cdef struct ends_t:
+    # ln(I + black) at the last event, from the frames before and after, as known now;
+    # variances without what grows with time (< 0: no frame), their covariance, and what
+    # is added to that of both.
+    double ahead, behind
+    double p_ahead, p_behind, common, extra
+
+
+cdef inline double passed_at(const frame_t* f, double middle, Py_ssize_t x,
+                             int64_t last, double rise, double bend) noexcept nogil:
+    """Part of a threshold passed since an event, in the mean over an exposure."""
+    cdef double since = 1e-6 * (middle - <double>last)
+    cdef double exposure = 1e-6 * <double>(f.end[x] - f.begin[x])
+    return since * (rise + since * bend) + bend * exposure * exposure / 12.0
+
+
+cdef inline ends_t ends_of(const shown_t* s, const frames_t* f, Py_ssize_t x,
+                           const double* rise, const double* bend, double since,
+                           const camera_t* c) noexcept nogil:
+    """The estimates from both frames, since (s) the last event.  (8), (13)
+
+    Of a silence that was open in an exposure more is known by now.
+    """
+    cdef ends_t out
+    cdef double[2] d, u         # ln, passed since the frame before, and until the next
+    cdef double part, passed = 0.0, after = 0.0, each
+    cdef int k
+    out.ahead, out.behind = s.ahead, s.behind
+    out.p_ahead = out.p_behind = -1.0
+    out.common = out.extra = 0.0
+    for k in range(2):
+        d[k], u[k] = s.since[k], s.until[k]
+        if s.state & OPEN_BEFORE:
+            d[k] = -c.theta[k] * passed_at(
+                &f.before, f.middle[x], x, s.last, rise[k], bend[k])
+            out.ahead += s.theta[k] / c.theta[k] * (d[k] - s.since[k])
+        if s.state & OPEN_AFTER:
+            u[k] = c.theta[k] * passed_at(
+                &f.later, f.middle[f.w + x], x, s.last, rise[k], bend[k])
+            out.behind -= s.theta[k] / c.theta[k] * (u[k] - s.until[k])
+        part = c.theta[k] * since * (rise[k] + since * bend[k])
+        d[k] += part
+        u[k] -= part
+        passed += fabs(d[k]) / c.theta[k]
+        after += fabs(u[k]) / c.theta[k]
+    if not s.state & BEFORE or s.state & HOT:
+        passed = 0.0
+    if not s.state & AFTER or s.state & HOT:
+        after = 0.0
+    each = passed + after
+    each = c.gamma + (0.5 * c.beta * min(each, 1.0) / each if each > 0.0 else 0.0)
+    if s.state & BEFORE:
+        # A negative one would be of no frame.
+        out.p_ahead = max(
+            s.p[0] + 2.0 * (d[0] * s.p[1] + d[1] * s.p[2]) + d[0] * d[0] * s.gains[0]
+            + 2.0 * d[0] * d[1] * s.gains[1] + d[1] * d[1] * s.gains[2],
+            0.0) + each * passed
+        out.extra = 0.25 * c.beta * min(passed, 1.0)
+    if s.state & AFTER:
+        out.p_behind = (
+            s.p_behind + u[0] * u[0] * s.gains[0] + 2.0 * u[0] * u[1] * s.gains[1]
+            + u[1] * u[1] * s.gains[2] + each * after)
+        if f.alone:
+            out.p_behind += 0.25 * c.beta * min(passed + after, 1.0)
+        out.common = -(u[0] * (s.p[1] + d[0] * s.gains[0] + d[1] * s.gains[1])
+                       + u[1] * (s.p[2] + d[0] * s.gains[1] + d[1] * s.gains[2]))
+    return out
 
 
 cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_,
                           Py_ssize_t at, Py_ssize_t x, const frames_t* f,
                           const camera_t* c, double* log, double* variance,
-                          silence_t* silence, double* share) noexcept nogil:
-    """ln(I + black) at t without what other times and pixels say, its variance, the
-    silence that is open at t, and the share of what others say."""
+                          silence_t* silence) noexcept nogil:
+    """ln(I + black) at t without what other times and pixels say, its variance, and the
+    silence that is open at t."""
     cdef around_t a
-    cdef double[2] rise, bend
+    cdef ends_t ends
+    cdef double[2] rise = [0.0, 0.0], bend = [0.0, 0.0]
     cdef int k
-    cdef double j = 0.0, v = s.extra, u, slope = 0.0, light, theta2
+    cdef double j = 0.0, now = 0.0, then = 0.0, next_ = 0.0, u, slope = 0.0, light
+    a.since = 0.0
     if s.sign and not s.state & HOT:
         a.sign = s.sign
         a.next_sign = s.next_sign
@@ -204,16 +229,28 @@ cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_
             course_of(&a, c, rise, bend)
         else:
             silence[0] = silence_of(&a, c)
-            theta2 = 0.25 * (c.theta[0] + c.theta[1]) * (c.theta[0] + c.theta[1])
-            v += theta2 * max(silent_variance(silence, a.since) - s.opened, 0.0)
-            rise[0] = rise[1] = bend[0] = bend[1] = 0.0
+            u = 0.25 * (c.theta[0] + c.theta[1]) * (c.theta[0] + c.theta[1])
+            now = u * silent_variance(silence, a.since)
+            then = u * s.opened
+            if s.state & OPEN_BEFORE:
+                then = u * silent_variance(
+                    silence, 1e-6 * (f.middle[x] - <double>s.last))
+            if s.state & AFTER:
+                next_ = u * silent_variance(
+                    silence, 1e-6 * (f.middle[f.w + x] - <double>s.last))
             if not a.flickers:
                 rise[a.sign > 0], bend[a.sign > 0] = silence.rise, silence.bend
         for k in range(2):
             j += s.theta[k] * a.since * (rise[k] + a.since * bend[k])
             slope += s.theta[k] * (rise[k] + 2.0 * a.since * bend[k])
-    at_rest(<double>t, s.ahead, s.p_ahead, s.behind, s.p_behind, s.common, v,
-            f.middle[x], f.middle[f.w + x], c.alpha, &u, variance)
+    ends = ends_of(s, f, x, rise, bend, a.since, c)
+    if s.state & BEFORE:
+        ends.p_ahead += max(now - then, 0.0)
+    if s.state & AFTER:
+        ends.p_behind += max(next_ - now, 0.0)
+    at_rest(<double>t, ends.ahead, ends.p_ahead, ends.behind, ends.p_behind,
+            ends.common, ends.extra, f.middle[x], f.middle[f.w + x], c.alpha, &u,
+            variance)
     if not s.state & (BEFORE | AFTER):
         log[0] = 0.0
         return
@@ -227,12 +264,6 @@ cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_
             u *= 1.0 - u * s.corner / (c.hz + s.corner)
         j += u
     log[0] = j
-    share[0] = 1.0
-    if (s.state & (BEFORE | AFTER | HOT) == BEFORE | AFTER
-            and f.anchors[at].sampled > 1.0):
-        u = line_of(<double>t, j, s, at, x, f, &light, variance)
-        share[0] = 1.0 - u
-        log[0] = j + u * (light - j)
 
 
 def increments_rest_planes(tuple frames not None, const double[::1] camera not None,
@@ -245,7 +276,7 @@ def increments_rest_planes(tuple frames not None, const double[::1] camera not N
     cdef frames_t f
     first, last = bands
     frames_of(frames, h, w, &f)
-    if planes.shape[0] != 6:
+    if planes.shape[0] != 5:
         raise ValueError("increments_rest_planes: all images must have one shape")
     with nogil:
         for y in range(first, last):
@@ -255,7 +286,6 @@ def increments_rest_planes(tuple frames not None, const double[::1] camera not N
                 planes[LEVEL, y, x] = a.log
                 planes[VARIANCE, y, x] = a.p[0] if a.sampled > 0.0 else -1.0
                 planes[SLOPE, y, x], planes[GROWS, y, x] = 0.0, -1.0
-                planes[SHARE, y, x] = 1.0
                 if f.back != NULL:
                     planes[SLOPE, y, x] = f.back[at] - f.later.said[at]
                     planes[GROWS, y, x] = f.back[f.size + at]
@@ -299,7 +329,7 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
     frames_of(frames, h, w, &f)
     f.lamp = &lamp
     if (shown.shape[0] != h or shown.shape[1] != w or due.shape[0] != h
-            or due.shape[1] != w or planes.shape[0] != 6 or planes.shape[1] != h
+            or due.shape[1] != w or planes.shape[0] != 5 or planes.shape[1] != h
             or planes.shape[2] != w or around is not None and (
                 f.before.around == NULL or courses is None or courses.shape[0] != h
                 or courses.shape[1] != w or around.shape[0] != 3
@@ -317,7 +347,7 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
             at = listed[i + HOP] if i + HOP < last else -1
             if 0 <= at < f.size and (f.fresh or t >= until[at]):
                 prefetch_all(&shown[0, 0] + at, sizeof(shown_t))
-                for k in range(6):
+                for k in range(5):
                     prefetch(plane + k * f.size + at)
                 if around is not None:
                     prefetch_all(&courses[0, 0] + at, sizeof(course_t))
@@ -335,21 +365,28 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
 
 cdef inline node_t* later_of(const pixel_t* p, const stored_t* store, Py_ssize_t at,
                              Py_ssize_t x, int64_t known, const frames_t* f,
-                             const camera_t* c, bint* ended) noexcept nogil:
-    """The frame after; a silence that was open at its end may have ended by `known`."""
+                             const camera_t* c, bint* changed) noexcept nogil:
+    """The frame after.  A silence since an event between t and its end, which was open
+    there, is looked at again when it has ended, and as it grows by 1/16 to 1/8."""
     cdef node_t* node = f.ended.nodes + at
     cdef int64_t since = open_since((f.later.nodes + at).open_t, p)
     cdef int32_t k = p.next
-    if since == NEVER:
+    cdef int shift = 0
+    if since == NEVER or since == p.at.t and p.at.t <= f.later.begin[x]:
         return f.later.nodes + at
     while k >= 0 and store[k].t <= since:
         k = store[k].next
-    ended[0] = k >= 0 and since < store[k].t <= known
-    if not ended[0]:
-        return f.later.nodes + at
-    if node.around_t != <int64_t>f.middle[f.w + x]:
-        node_of(p, store, &f.ended, at, x, store[k].t, c, f.lamp)
-        node.around_t = <int64_t>f.middle[f.w + x]
+    if k >= 0 and store[k].t <= known:
+        known = store[k].t
+    else:
+        known = max(known - since, 0)
+        while known >> shift >= 16:     # images do not depend on which others are read
+            shift += 1
+        known = since + (known >> shift << shift)
+    if f.fresh or node.around_t != known:
+        node_of(p, store, &f.ended, at, x, known, c, f.lamp)
+        node.around_t = known
+        changed[0] = True
     return node
 
 
@@ -363,15 +400,17 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
     cdef node_t* node = f.before.nodes + at
     cdef int64_t t0 = t, t1 = t, until = 0
     cdef double[3] out
-    cdef double j0, v0, j1, v1, since, knot, rate, share = 1.0, u
+    cdef double j0, v0, j1, v1, since, knot, rate
     cdef bint rests = False, smooth = False
     cdef silence_t silence, other
+    cdef ends_t ends
+    cdef double[2] still = [0.0, 0.0]
+    cdef int64_t[2] begins = [f.before.begin[x], -NEVER]
     cdef int k
-    cdef bint ended = False
     cdef node_t* later = node
     if f.back != NULL:
-        later = later_of(p, store, at, x, known, f, c, &ended)
-    if changed or f.fresh or ended != (s.state & ENDED > 0):
+        later = later_of(p, store, at, x, known, f, c, &changed)
+    if changed or f.fresh:
         if p.at.run > 0 and p.at.t > open_since(node.open_t, p):
             # Its end is known now.
             node_of(p, store, &f.before, at, x, p.at.t, c, f.lamp)
@@ -379,13 +418,13 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
                 and p.at.t > open_since(node.around_t, p)):
             around_of(p, store, &f.before, at, x, p.at.t, lags, c)
         if f.back != NULL:
+            begins[1] = f.later.begin[x]
             show_one(p, store, node, f.anchors + at, later,
-                     f.later.said[at], f.back[at], f.back[size + at], f.alone,
-                     f.theta_cov, c, f.lamp, s)
+                     f.later.said[at], f.back[at], f.back[size + at],
+                     f.theta_cov, c, begins, f.lamp, s)
         else:
-            show_one(p, store, node, f.anchors + at, node, 0.0, 0.0, -1.0, False,
-                     f.theta_cov, c, f.lamp, s)
-        s.state |= ENDED if ended else 0
+            show_one(p, store, node, f.anchors + at, node, 0.0, 0.0, -1.0,
+                     f.theta_cov, c, begins, f.lamp, s)
     silence.rise = silence.bend = 0.0
     knot = since = 1e-6 * <double>(t - s.last)
     if s.next > known:
@@ -400,27 +439,24 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
         smooth = not rests and since > SMOOTH_FROM
     if rests:
         until = NEVER
+        ends = ends_of(s, f, x, still, still, 0.0, c)
         rest_planes(
-            s.ahead, s.p_ahead, s.behind, s.p_behind, s.common, s.extra, f.middle[x],
-            f.middle[f.w + x], <double>f.epoch, c.alpha, plane + LEVEL * size + at,
-            plane + SLOPE * size + at, plane + VARIANCE * size + at,
-            plane + GROWS * size + at, plane + BENDS * size + at)
+            ends.ahead, ends.p_ahead, ends.behind, ends.p_behind, ends.common,
+            ends.extra, f.middle[x], f.middle[f.w + x], <double>f.epoch, c.alpha,
+            plane + LEVEL * size + at, plane + SLOPE * size + at,
+            plane + VARIANCE * size + at, plane + GROWS * size + at,
+            plane + BENDS * size + at)
     else:
         if smooth:
             t0 = s.last + <int64_t>(1e6 * knot)
             t1 = s.last + <int64_t>(1e6 * knot * KNOT)
-            if f.back != NULL:          # the line (14) ends at both frames
-                if f.middle[x] < t:
-                    t0 = max(t0, <int64_t>f.middle[x])
-                if f.middle[f.w + x] > t:
-                    t1 = min(t1, <int64_t>f.middle[f.w + x])
             until = t1
         estimate(s, t0, t0 + f.ahead if smooth else known, smooth, at, x, f, c, &j0,
-                 &v0, &silence, &share)
+                 &v0, &silence)
         plane[SLOPE * size + at] = plane[GROWS * size + at] = 0.0
         plane[BENDS * size + at] = 0.0
         if smooth:
-            estimate(s, t1, t1 + f.ahead, smooth, at, x, f, c, &j1, &v1, &other, &u)
+            estimate(s, t1, t1 + f.ahead, smooth, at, x, f, c, &j1, &v1, &other)
             since = 1e-6 * <double>(f.epoch - t0)
             rate = (j1 - j0) / (1e-6 * <double>(t1 - t0))
             plane[SLOPE * size + at] = <float>rate
@@ -430,7 +466,6 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
             v0 += since * rate
         plane[LEVEL * size + at] = <float>j0
         plane[VARIANCE * size + at] = <float>v0
-    plane[SHARE * size + at] = <float>share
     if s.next != NEVER:
         until = min(until, s.next - f.ahead)    # then it is known
     if around != NULL:
@@ -476,7 +511,7 @@ def increments_image(const float[:, :, ::1] planes not None,
     lit = ripple(&lamp, 0.0, t, &rate)
     log, variance, valid = out
     first, last = bands
-    if (planes.shape[0] != 6 or planes.shape[1] != log.shape[0]
+    if (planes.shape[0] != 5 or planes.shape[1] != log.shape[0]
             or planes.shape[2] != log.shape[1] or variance.shape[0] != log.shape[0]
             or variance.shape[1] != log.shape[1] or valid.shape[0] != log.shape[0]
             or valid.shape[1] != log.shape[1] or around is not None and (
@@ -492,6 +527,6 @@ def increments_image(const float[:, :, ::1] planes not None,
             show_row(&planes[LEVEL, y, 0], &planes[SLOPE, y, 0],
                      &planes[VARIANCE, y, 0],
                      &planes[GROWS, y, 0], &planes[BENDS, y, 0],
-                     &planes[SHARE, y, 0], <float>seconds,
+                     <float>seconds,
                      <float>lit, <float>most, log.shape[1], &log[y, 0], &variance[y, 0],
                      &valid[y, 0])

@@ -9,7 +9,6 @@ import numpy as np
 SAMPLES, SHORT_US, GATE, LEARN_EVENTS = 7, 1500, 16.0, 3
 RESTS, TURN, EARLIEST_TURN = 2.5, 0.268, 3 - 2 * math.sqrt(2)
 SMOOTH_FROM_S, KNOT = 0.045, 1.1
-DOUBTFUL = 9.0
 CLAIM, SHOWN, HOT, MORE, LESS, HOT_MEMORY = 0.5, 0.25, 6.91, 4.5, 2.29, 8.0
 
 
@@ -111,6 +110,11 @@ class Pixel:
         rate[on] = sign * z * (end + bow * (1 - 2 * s)) / length
         return part, rate, v * z * (s if s > 0.5 else 2 * s * (1 - s))
 
+    def mean_part(self, begin, end, known):
+        """Mean of `part` over an exposure within one silence: of a parabola."""
+        return sum(w * self.part(begin + (end - begin) * k // 2, known)[0]
+                   for k, w in enumerate((1, 4, 1))) / 6
+
     def y(self, t, known):
         """Changes of light so far by polarity, and their slopes."""
         part, rate, _ = self.part(t, known)
@@ -186,33 +190,14 @@ class Level:
     def __init__(self, gain):
         self.x, self.P = np.array([0.0, *gain]), np.zeros((3, 3))
         self.sampled = 0
-        self.hot = self.motion = self.slope = self.bend2 = 0.0
-        self.back = self.spare = 0.0
+        self.hot = self.motion = 0.0
 
     def update(self, a, b, seconds, z, r, m):
-        """Pass from frame a to frame b, whose sample is z with variance r."""
-        before = self.x[0]
-        self.join(a, b, seconds, z, r, m)
-        if z is None:
-            return
-        if self.sampled:        # (14)
-            moved = self.x[0] - before
-            passed = abs(b["light"] - a["light"])
-            against = passed[int(moved < 0)]
-            self.spare += (passed.sum() - abs(moved) - self.spare) / self.sampled
-            self.back += (against - self.back) / self.sampled
-            slope = moved / seconds
-            if self.sampled > 1:
-                bend = (slope - self.slope) / seconds
-                self.bend2 += (bend ** 2 - self.bend2) / (self.sampled - 1)
-            self.slope = slope
-        self.sampled = min(self.sampled + 1, HOT_MEMORY)
-
-    def join(self, a, b, seconds, z, r, m):
-        """Predict, and update.  (12)"""
+        """Pass from frame a to frame b, whose sample is z with variance r.  (12)"""
         beta = m.noise[1]
         if not self.sampled:
             if z is not None:
+                self.sampled = 1
                 self.x[0] = z
                 moved = beta / 4 * bool(np.any(b["light"]))
                 self.P = np.diag([r + moved, m.spread ** 2, m.spread ** 2])
@@ -382,7 +367,7 @@ class Filter:
                 looked[anchor is None:], said[1:], said, strict=False):
             self.differ(nodes, new, old, levels)
         now = np.zeros((3, *self.shape))
-        out = np.zeros((3, *self.shape))
+        out = np.zeros((2, *self.shape))
         for at, p in np.ndenumerate(self.pixels):
             level, hot = levels[at], levels[at].hot > HOT
             node = here[at] if here is not None else None
@@ -390,11 +375,11 @@ class Filter:
             f = later[0] if later else None
             after = looked[0][at] if later else None
             if after is not None and after["at_end"] is not None:
-                k = p.last(after["at_end"]) + 1     # a silence that has ended since
-                if k < len(p.t) and p.t[k] <= seen:
-                    after = {**p.node(*self.exposure(f, at), self.sample(f, at)[0],
-                                      p.t[k], self.about[id(f)][at]),
-                             "around": after["around"]}
+                begin, end = self.exposure(f, at)
+                if p.last(after["at_end"]) > p.last(t) or after["at_end"] > begin:
+                    known = self.known_of(p, after["at_end"], seen)
+                    after = {**p.node(begin, end, self.sample(f, at)[0], known,
+                                      self.about[id(f)][at]), "around": after["around"]}
             *values, t_around = self.at(
                 t, p, level, node, anchor, b, v, f, after, at)
             out[(slice(None), *at)] = values
@@ -403,8 +388,18 @@ class Filter:
                     t_around, t_around + self.ahead, self.ahead)
                 if then is not None:
                     now[(slice(None), *at)] -= then[(slice(None), *at)]
-        log, variance = out[0] + out[2] * mean_around(now), out[1]
+        log, variance = out[0] + mean_around(now), out[1]
         return log, variance
+
+    @staticmethod
+    def known_of(p, since, seen):
+        """Up to when a silence is known that was open in the frame after."""
+        k = p.last(since) + 1
+        if k < len(p.t) and p.t[k] <= seen:
+            return p.t[k]
+        length = max(seen - since, 0)
+        step = 1 << max(length.bit_length() - 4, 0)
+        return since + length // step * step
 
     def add(self, which, levels):
         """Note the gains when frames come."""
@@ -459,13 +454,10 @@ class Filter:
         while knot * KNOT <= since:
             knot *= KNOT
         t0, t1 = (p.t[k] + int(1e6 * one) for one in (knot, knot * KNOT))
-        if v > 0 and level.sampled:     # the line (14) ends at both frames
-            t0 = max(t0, self.mid(anchor, at)) if self.mid(anchor, at) < t else t0
-            t1 = min(t1, self.mid(later, at)) if self.mid(later, at) > t else t1
         ends = [np.array(self.exact(x, x + ahead, t, p, level, node, anchor, b, v,
                                     later, after, at)) for x in (t0, t1)]
-        J, V, _ = ends[0] + (t - t0) / (t1 - t0) * (ends[1] - ends[0])
-        return J, V, ends[0][2], t0
+        J, V = ends[0] + (t - t0) / (t1 - t0) * (ends[1] - ends[0])
+        return J, V, t0
 
     def exact(self, t, known, event_t, p, level, node, anchor, b, v, later, after, at):
         m, hot = self.m, level.hot > HOT
@@ -473,22 +465,45 @@ class Filter:
         k = p.last(event_t)
         theta = (1 + level.x[1:]) * m.theta * (not hot)
         J = slope = extra = 0.0
-        light = p.light[k + 1]
+        light, now, c = p.light[k + 1], np.zeros(2), np.zeros(2)
+        # Passed since the frame before, and until the one after; variances of the part
+        # of an open silence.
+        d1 = light - node["light"] if node is not None else c
+        d2 = after["light"] - light if after is not None else c
+        open_1 = open_2 = 0.0
+        more_1, more_2 = c, c       # what is known by now, in both
         if k >= 0 and not hot:
             q = Pixel.__new__(Pixel)        # the same silence, later events unknown
             q.__dict__ = dict(p.__dict__)
-            if p.last(event_t + self.ahead) == k:
+            silent = p.last(event_t + self.ahead) == k
+            if silent:
                 q.t = p.t[:k + 1]
             part, rate, open_v = q.part(t, known)
-            J, slope = theta @ part, theta @ rate
-            if p.last(event_t + self.ahead) == k:
-                same = node is not None and node["open"] == p.t[k]
-                extra += m.theta.mean() ** 2 * max(
-                    open_v - (node["variance"] if same else 0), 0)
+            J, slope, now = theta @ part, theta @ rate, m.theta * part
+            then = node["variance"] if node is not None and (
+                node["open"] == p.t[k]) else 0.0
+            ends = [(node, anchor, -1, d1), (after, later, 1, d2)]
+            for i, (one, frame, sign, d) in enumerate(ends):
+                if one is None:
+                    continue
+                exposure = self.exposure(frame, at)
+                if one["at_end"] == p.t[k] <= exposure[0]:
+                    mean = q.mean_part(*exposure, known)
+                    more = sign * m.theta * mean - d
+                    if i:
+                        more_2 = more
+                    else:
+                        more_1 = more
+                        then = q.part(self.mid(frame, at), known)[2]
+            if silent:
+                square = m.theta.mean() ** 2
+                open_1 = square * max(open_v - then, 0)
+                if after is not None:
+                    open_2 = square * max(
+                        q.part(self.mid(later, at), known)[2] - open_v, 0)
         S = level.P[1:, 1:] + m.theta_cov / np.outer(m.theta, m.theta)
-        c = np.zeros(2)
-        d1 = light - node["light"] if node is not None else c
-        d2 = after["light"] - light if after is not None else c
+        e1, e2 = d1, d2
+        d1, d2 = d1 + more_1 + now, d2 + more_2 - now
         n1, n2 = (0 if hot else (abs(d) / m.theta).sum() for d in (d1, d2))
         has1, has2 = level.sampled > 0, v > 0
         n1, n2 = n1 * has1, n2 * has2
@@ -499,9 +514,10 @@ class Filter:
             if hot:
                 V1 += level.motion
             else:
-                J1 += light.sum() - node["h"] + d1 @ level.x[1:]
+                J1 += light.sum() - node["h"] + e1 @ level.x[1:] + (
+                    1 + level.x[1:]) @ more_1
                 V1 += 2 * d1 @ level.P[0, 1:] + d1 @ S @ d1 + gamma * n1
-            V1 += each * n1 + alpha * 1e-6 * abs(t - self.mid(anchor, at))
+            V1 += each * n1 + open_1 + alpha * 1e-6 * abs(t - self.mid(anchor, at))
             extra += beta / 4 * min(n1, 1)
         if has2:
             J2 = b - after["around"]
@@ -509,11 +525,12 @@ class Filter:
             if hot:
                 V2 += level.motion
             else:
-                J2 -= after["h"] - light.sum() + d2 @ level.x[1:]
+                J2 -= after["h"] - light.sum() + e2 @ level.x[1:] + (
+                    1 + level.x[1:]) @ more_2
                 V2 += d2 @ S @ d2 + gamma * n2
                 V2 += beta / 4 * min(n1 + n2, 1) * self.alone
                 common = -d2 @ (level.P[0, 1:] + S @ d1)
-            V2 += each * n2 + alpha * 1e-6 * abs(t - self.mid(later, at))
+            V2 += each * n2 + open_2 + alpha * 1e-6 * abs(t - self.mid(later, at))
         if has1 and has2:
             all_ = V1 + V2 - 2 * common
             u = min(max((V1 - common) / all_, 0), 1)
@@ -522,30 +539,9 @@ class Filter:
         elif has1 or has2:
             J, V = (J + J1, V1) if has1 else (J + J2, V2)
         else:
-            return 0.0, 1e3, 1.0
+            return 0.0, 1e3
         if slope:
             ahead = p.lead(slope, max(math.exp(J) - m.black, 1e-3))
             J += ahead
         V += extra
-        if level.sampled < 2 or v <= 0 or hot:
-            return J, V, 1.0
-        # The straight line between both frames.  (14)
-        seconds = 1e-6 * (self.mid(later, at) - self.mid(anchor, at))
-        s = 1e-6 * (t - self.mid(anchor, at)) / seconds
-        moved = b - level.x[0]
-        line = level.x[0] + s * moved
-        s = min(max(s, 0), 1)
-        own = V - (1 - s) ** 2 * level.P[0, 0] - s ** 2 * v
-        if own <= 0:
-            return J, V, 1.0
-        bend = (moved / seconds - level.slope) / seconds
-        passed = abs(d1 + d2)
-        against = passed[int(moved < 0)]
-        back = level.back + (against - level.back) / level.sampled
-        spare = level.spare + (
-            passed.sum() - abs(moved) - level.spare) / level.sampled
-        both = own + max(bend ** 2, level.bend2) * seconds ** 4 * s * (1 - s) + (
-            max(back, spare) ** 2)
-        share = (own / both) ** 2 / (1 + ((J - line) ** 2 / (DOUBTFUL * both)) ** 2)
-        V += share * (share * both - 2 * own)
-        return J + share * (line - J), V, 1 - share
+        return J, V

@@ -192,7 +192,9 @@ def test_light_that_has_stopped_is_shown_as_frames_have_it(mode):
 @pytest.mark.parametrize("t", [340_000, 940_000, 1_140_000])
 def test_a_stream_shows_light_that_stopped_as_frames_have_it(t):
     """Though frames are taken with more of a threshold crossed than silence leaves."""
-    method, theta = make((1, 1), 0.2, 0.2, mode="causal"), 0.2
+    theta = 0.2
+    method = make((1, 1), theta, theta, mode="causal",
+                  model=prior_model(Priors(theta=(theta, theta)), 0))
     events = np.zeros(8, EVENT_DTYPE)
     events["t"], events["p"] = np.arange(1, 9) * 10_000, 1
     # It stops .4 thresholds after the last event, before the exposure of 100 ms.
@@ -202,6 +204,30 @@ def test_a_stream_shows_light_that_stopped_as_frames_have_it(t):
     feed(method, events, frames)
     shown = method.read(t).log_intensity[0, 0]
     assert abs(shown - np.log(dn / 10)) < 0.06 * theta
+
+
+def test_slow_light_is_as_frames_around_show_it():
+    """What a silence says at both frames is as known by now, as at the time read."""
+    theta, gap = 0.2, 240_000
+
+    def passed(t):      # thresholds: up, and from 4.5 gaps on down
+        return np.minimum(t, 9 * gap - t) / gap
+
+    events = np.zeros(7, EVENT_DTYPE)
+    events["t"] = [gap, 2 * gap, 3 * gap, 4 * gap, 6 * gap, 7 * gap, 8 * gap]
+    events["p"] = [1, 1, 1, 1, 0, 0, 0]
+    frames = [ApsFrame(np.full((1, 1), 200 * np.exp(theta * passed(s + 5000))), s,
+                       s + 10_000) for s in range(0, 2_100_000, 50_000)]
+    errors = []
+    for t in range(300_000, 2_000_000, 17_000):
+        method = make((1, 1), theta, theta,
+                      model=prior_model(Priors(theta=(theta, theta)), 50_000))
+        seen = t + method.lookahead_us
+        feed(method, events[events["t"] <= seen],
+             [frame for frame in frames if frame.mid_us <= seen])
+        errors.append(method.read(t).log_intensity[0, 0] - np.log(20))
+        errors[-1] -= theta * passed(t)
+    assert np.sqrt(np.mean(np.square(errors))) < 0.07 * theta   # 0.14 as of each frame
 
 
 def test_light_at_rest_is_as_good_as_frames():

@@ -46,7 +46,7 @@ _REACH_US = 5_000 - round(1e6 * min(PAST_S))    # how far back events count, us
 _AHEAD_US = round(1e6 * max(AROUND_S))
 _LATE_US = 500_000      # how late a frame may come, us
 _GAINS_PER_US = 1e-4    # relative error of gains by that of stamps: a tenth per ms
-_PLANES, _PIXEL_NS = 6, 100.0   # of an image in the making; ns by listed pixel
+_PLANES, _PIXEL_NS = 5, 100.0   # of an image in the making; ns by listed pixel
 # As PD_UNKNOWN, PD_PRIOR_ODDS, PD_NEVER, PD_CHANGED and PD_QUIET of _increments.h.
 _UNKNOWN, _HOT, _NO_TIME = 1e3, 6.91, 1 << 62
 _CHANGED, _QUIET = -_NO_TIME, -_NO_TIME - 1
@@ -174,7 +174,6 @@ class KalmanFilter(Reconstructor):
         """Invalidate what is made for reads."""
         self._back: NDArray[np.float32] | None = None
         self._fresh, self._hot = False, None
-        self._ended["around_t"] = 0
         self._scratch: tuple[int, int, KalmanFilter] | None = None
         store, lit = self._store, self._lit
         last = store.pixels["newest"]

@@ -19,15 +19,13 @@ NODE_DTYPE = np.dtype([
     align=True)
 ANCHOR_DTYPE = np.dtype([
     ("log", "<f4"), ("gain", "<f4", 2), ("p", "<f4", _COVARIANCES), ("hot", "<f4"),
-    ("motion", "<f4"), ("sampled", "<f4"), ("slope", "<f4"), ("bend2", "<f4"),
-    ("back", "<f4"), ("spare", "<f4")])
+    ("motion", "<f4"), ("sampled", "<f4")])
 SHOWN_DTYPE = np.dtype([
     ("last", "<i8"), ("next", "<i8"), ("ahead", "<f4"), ("behind", "<f4"),
-    ("p_ahead", "<f4"), ("p_behind", "<f4"), ("common", "<f4"), ("theta", "<f4", 2),
-    ("corner", "<f4"), ("before", "<f4"), ("next_weight", "<f4"), ("drift", "<f4"),
-    ("extra", "<f4"), ("opened", "<f4"), ("back", "<f4"), ("passed", "<f4"),
-    ("sign", "i1"), ("next_sign", "i1"), ("context", "i1"), ("state", "i1")],
-    align=True)
+    ("p_behind", "<f4"), ("p", "<f4", 3), ("gains", "<f4", 3), ("since", "<f4", 2),
+    ("until", "<f4", 2), ("theta", "<f4", 2), ("corner", "<f4"), ("before", "<f4"),
+    ("next_weight", "<f4"), ("drift", "<f4"), ("opened", "<f4"), ("sign", "i1"),
+    ("next_sign", "i1"), ("context", "i1"), ("state", "i1")], align=True)
 COURSE_DTYPE = np.dtype([
     ("until", "<i8"), ("origin", "<i8"), ("last", "<i8"), ("level", "<f8", 3),
     ("rise", "<f4", 3), ("bend", "<f4", 3), ("open", "<f4", (3, 3)), ("before", "<f4"),
