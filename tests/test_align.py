@@ -1,5 +1,6 @@
 """Loads of a test frame, and the clock that they came with."""
 import contextlib
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -213,6 +214,18 @@ def test_gaps_and_rows_without_numbers_are_reported(tmp_path):
     assert load.inside_gap(np.array([0.2, 0.5, 2.0])).tolist() == [False, True, True]
 
 
+def test_many_rows_take_the_memory_of_their_numbers(tmp_path):
+    path = tmp_path / "load.csv"
+    path.write_text("t_s,F_N\n" + "".join(f"{i},2\n" for i in range(100_000)))
+    assert len(read_load(path).t_s) == 100_000      # and imports what that takes
+    tracemalloc.start()
+    try:
+        read_load(path)
+        assert tracemalloc.get_traced_memory()[1] < 100_000 * 120
+    finally:
+        tracemalloc.stop()
+
+
 def test_triggers_of_a_file_are_where_the_level_rises(tmp_path):
     path = tmp_path / "load.csv"
     path.write_text("time (s),force (N),trigger (V)\n" + "\n".join(
@@ -226,6 +239,8 @@ def test_triggers_of_a_file_are_where_the_level_rises(tmp_path):
      "'furlong'"),
     ("time (s),force\n0,1\n1,2\n", "column 'force': .* the header names none"),
     ("time (h),force (N)\n0,1\n1,2\n", "the unit must be one of s, ms, us, min"),
+    ("\n".join(["1,2"] * 2_000 + ["t_s,F_N", "0,1", "1,2"]), "no header line"),
+    (",".join(["a"] * 2_000 + ["t_s", "F_N"]) + "\n0,1\n", "no header line"),
     ("a,b\n0,1\n", "no header line with a time column"),
     ("temp,fluff,xy\n0,1,2\n", "time: time, elapsed, timestamp, zeit, t [(]s, ms, us"),
     ("", "no header line"),

@@ -164,7 +164,7 @@ def excused(name, data):
     them is what is promised (docs/promises.md).
     """
     from pdavis_cv import RecordingError, open_recording
-    if name not in ("hdf5", "rpg"):
+    if name.removeprefix("lies ") not in ("hdf5", "rpg"):
         return False
     with tempfile.NamedTemporaryFile(suffix=".h5") as file:
         file.write(data)

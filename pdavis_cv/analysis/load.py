@@ -2,7 +2,11 @@
 from __future__ import annotations
 
 import csv
+import io
+import itertools
 import re
+from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +16,8 @@ from numpy.typing import NDArray
 from pdavis_cv._remote import as_path
 
 FloatArray = NDArray[np.float64]
+_SEARCHED = 1_000
+"""Lines, and columns, among which the names are; a choice."""
 
 _UNITS = {
     "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
@@ -121,41 +127,40 @@ def read_load(path: str | Path) -> LoadTrace:
         text = path.read_text("utf-8-sig")
     except UnicodeDecodeError:
         text = path.read_text("latin-1")
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1)
-             if line.strip() and not line.lstrip().startswith("#")]
-    delimiter = max(";\t,", key=lambda mark: sum(mark in line for _, line in lines[:5]))
+    lines = ((number, line) for number, line in enumerate(io.StringIO(text), 1)
+             if line.strip() and not line.lstrip().startswith("#"))
+    begin = [*itertools.islice(lines, _SEARCHED)]
+    delimiter = max(";\t,", key=lambda mark: sum(mark in line for _, line in begin[:5]))
     decimal_comma = delimiter != ","
+    rows = ((number, next(csv.reader([line], delimiter=delimiter)))
+            for number, line in itertools.chain(begin, lines))
     try:
-        rows = [(number, next(csv.reader([line], delimiter=delimiter)))
-                for number, line in lines]
+        return _table(path, rows, decimal_comma)
     except csv.Error as error:
         raise ValueError(f"{path}: not a table, {error}") from None
-    first = next((i for i, (_, row) in enumerate(rows) if _classify(row)), None)
-    if first is None:
+
+
+def _table(path: Path, rows: Iterator[tuple[int, list[str]]],
+           decimal_comma: bool) -> LoadTrace:
+    titles = next((row for _, row in itertools.islice(rows, _SEARCHED)
+                   if _classify(row)), None)
+    if titles is None:
         names = "; ".join(f"{kind}: {', '.join(_WORDS[kind])} ({_SPELLED[kind]})"
                           for kind in ("time", "force", "displacement"))
         raise ValueError(
             f"{path}: no header line with a time column and a force or displacement "
             f"column; names and units that are known: {names}")
-    kinds = _classify(rows[first][1])
-    header = [cell.strip() for cell in rows[first][1]]
-    body = rows[first + 1:]
-    below: list[str] = []
-    if body and not any(_number(cell, decimal_comma) is not None
-                        for cell in body[0][1] if cell.strip()):
-        below = [cell.strip().strip("()[]") for cell in body[0][1]]
-        body = body[1:]
+    kinds = _classify(titles)
+    header, below = [cell.strip() for cell in titles], list[str]()
+    for number, row in itertools.islice(rows, 1):
+        if any(_number(cell, decimal_comma) is not None for cell in row):
+            rows = itertools.chain([(number, row)], rows)
+        else:
+            below = [cell.strip().strip("()[]") for cell in row]
     scales = {kind: _scale(path, kind, header[i], below[i] if i < len(below) else "")
               for kind, i in kinds.items()}
-    return _collect(path, body, kinds, scales, decimal_comma)
-
-
-def _collect(
-    path: Path, body: list[tuple[int, list[str]]], kinds: dict[str, int],
-    scales: dict[str, float], decimal_comma: bool,
-) -> LoadTrace:
-    numbers, values, dropped = [], [], 0
-    for number, row in body:
+    numbers, values, dropped = array("q"), array("d"), 0
+    for number, row in rows:
         cells = [_number(row[i], decimal_comma) if i < len(row) else None
                  for i in kinds.values()]
         found = [cell for cell in cells if cell is not None and np.isfinite(cell)]
@@ -163,11 +168,12 @@ def _collect(
             dropped += 1
             continue
         numbers.append(number)
-        values.append(found)
-    if len(values) < 2:
+        values.extend(found)
+    if len(numbers) < 2:
         raise ValueError(f"{path}: fewer than two rows of numbers")
     with np.errstate(over="ignore"):
-        table = np.array(values) * np.array([scales[kind] for kind in kinds])
+        table = np.frombuffer(values).reshape(len(numbers), -1) * np.array(
+            [scales[kind] for kind in kinds])
     if not np.isfinite(table).all():
         raise ValueError(f"{path}: numbers must be finite in N, mm and s")
     column = dict(zip(kinds, table.T, strict=True))
@@ -188,7 +194,7 @@ def _collect(
 def _classify(row: list[str]) -> dict[str, int]:
     """Return the column of each kind in a header; empty if the row is not one."""
     kinds: dict[str, int] = {}
-    for i, cell in enumerate(row):
+    for i, cell in enumerate(row[:_SEARCHED]):
         name = cell.strip().lower()
         for kind, words in _WORDS.items():
             starts = "|".join(
