@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pdavis_cv import export, render
+from pdavis_cv._text import shown
 
 pytest.importorskip("matplotlib")
 
@@ -21,9 +22,9 @@ PANELS = [render.Panel("intensity S0", "grey", "0", "36 DN/ms"),
           render.Panel("degree of linear polarization", "dolp")]
 
 
-def write(path, **more):
-    export.write_figure(path, PICTURES, PANELS, width_mm=85, columns=3,
-                        title="still.png   frames", facts={"method": "frames"}, **more)
+def write(path, *, title="still.png   frames", **more):
+    export.write_figure(path, PICTURES, PANELS, width_mm=85, columns=3, title=title,
+                        facts={"method": "frames"}, **more)
 
 
 def test_a_pdf_is_as_wide_as_asked_and_holds_pictures_and_text(tmp_path):
@@ -38,6 +39,16 @@ def test_a_pdf_is_as_wide_as_asked_and_holds_pictures_and_text(tmp_path):
         rb"stream\n(\x78.*?)endstream", data, re.S)[:1])
     assert page.count(b" Tf") >= 10
     assert b'"method": "frames"' in data
+
+
+@pytest.mark.parametrize("name", ["\x1b]0;x\x07", "\u202eabc", "<!-- &", "\x9b1m"])
+def test_a_name_with_control_characters_leaves_an_svg_that_can_be_read(tmp_path, name):
+    write(tmp_path / "a.svg", title=name)
+    text = (tmp_path / "a.svg").read_text("utf-8")
+    assert text.replace("\n", "").isprintable()
+    words = {"".join(one.itertext()) for one in ElementTree.fromstring(text).iter(
+        f"{SVG}text")}
+    assert any(word.strip() == shown(name) for word in words)
 
 
 def test_an_svg_holds_its_pictures_pixel_by_pixel_and_text_as_text(tmp_path):

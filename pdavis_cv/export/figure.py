@@ -9,6 +9,7 @@ from pathlib import Path
 from pdavis_cv._beside import write_beside
 from pdavis_cv._checks import MOST_SIDE, positive, some, whole_number
 from pdavis_cv._packages import package
+from pdavis_cv._text import shown
 from pdavis_cv._types import Facts
 from pdavis_cv.export.embedded import embed_png, to_json
 from pdavis_cv.render import (
@@ -174,8 +175,8 @@ class _Page:
               align: str = "left") -> None:
         across, down = self.size
         drawn = self.figure.text(
-            left / across, 1 - (top + _LINE / 2) / down, text, size=_POINTS, ha=align,
-            va="center_baseline", color=self.ink, parse_math=False)
+            left / across, 1 - (top + _LINE / 2) / down, shown(text), size=_POINTS,
+            ha=align, va="center_baseline", color=self.ink, parse_math=False)
         wide = drawn.get_window_extent().width / self.figure.dpi * _MM
         if wide > room:
             drawn.set_fontsize(_POINTS * room / wide)

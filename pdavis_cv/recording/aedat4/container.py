@@ -223,11 +223,8 @@ class Aedat4File:
         return Entry(stream, at + 8, size) if right else None
 
     def _headless(self, entry: Entry, overlap: int) -> bool:
-        """Return whether the packet after this one lost its first bytes, not this one.
-
-        The last bytes of events can be the number of a stream.
-        """
-        times = None
+        """Return whether the packet after this one, not it, lost its first bytes."""
+        times = None    # the last bytes of events can be the number of a stream
         if overlap < _PACKET.size and self.streams[entry.stream].kind == "EVTS":
             with contextlib.suppress(PayloadError):
                 times = samples.span("EVTS", self.table(entry))
