@@ -7,7 +7,8 @@ into a grey one, and its channels into those of the colours.  Cells begin with r
 from libc.stdint cimport uint8_t
 
 from _kernels._rows cimport (
-    check_places, mirror_ends, mirrored, plane_of_place, row_stride, scratch_row)
+    check_places, mirror_ends, mirrored, plane_of_place, polarization_row, row_stride,
+    scratch_row)
 from _kernels._types cimport pixel_t
 
 cdef extern from "_colours.h" nogil:
@@ -212,20 +213,26 @@ def grey_mosaic(const float[:, :, ::1] tints not None,
             colour_divide(here, beside, w, &mosaic[y, 0])
 
 
-def colour_planes(const Py_ssize_t[::1] places not None,
+def colour_planes(const float[:, :, ::1] quad not None,
+                  const Py_ssize_t[::1] places not None,
                   const float[:, :, ::1] tints not None,
-                  const float[:, :, :, ::1] parts not None, float[::1] scratch not None,
-                  float[:, :, :, ::1] out not None):
+                  const float[:, :, :, ::1] parts not None, float gain,
+                  float[::1] scratch not None, float[:, :, :, ::1] out not None):
     """Multiply the channels of a grey mosaic by what each colour is in parts of grey.
 
-    They come as out[1] (4, 4h, 4w), and those of the three colours go to out.
+    Those of the three colours go to out (3, 4, 4h, 4w), of which out[1] may be quad; or
+    what `s0_aop_dolp` makes of them with gain to out (3, 3, 4h, 4w).
     """
-    cdef Py_ssize_t h = out.shape[2], w = out.shape[3], y, k, c, p
+    cdef Py_ssize_t h = quad.shape[1], w = quad.shape[2], y, k, c, p
+    cdef bint polarizes = out.shape[1] == 3
     cdef Py_ssize_t plane[4]
+    cdef float* to[4]
     cdef float* row[55]
     begin(h, w, tints, parts, scratch, row)
-    if out.shape[0] != 3 or out.shape[1] != 4:
-        raise ValueError("colour_planes: out must be (3, 4, 4h, 4w)")
+    if (quad.shape[0] != 4 or out.shape[0] != 3 or out.shape[1] != 4 - polarizes
+            or out.shape[2] != h or out.shape[3] != w):
+        raise ValueError("colour_planes: quad must be (4, 4h, 4w), out (3, 4, 4h, 4w) "
+                         "or (3, 3, 4h, 4w)")
     check_places(places)
     plane_of_place(places, plane)
     with nogil:
@@ -234,8 +241,13 @@ def colour_planes(const Py_ssize_t[::1] places not None,
             if not y & 1:
                 factors(tints, parts, y // 2 + 1, row)
             for k in range(12):
-                c, p = 2 * (k // 4) % 3, k & 3      # green last, which is read
+                c, p = 2 * (k // 4) % 3, k & 3      # green last, which may be read
+                to[plane[p]] = row[50 + p] if polarizes else &out[c, plane[p], y, 0]
                 colour_multiply(
                     row[16 * c + 4 * p + (y // 2 & 3)],
                     row[16 * c + 4 * p + slot_beside(y, h // 2)],
-                    &out[1, plane[p], y, 0], w, &out[c, plane[p], y, 0])
+                    &quad[plane[p], y, 0], w, to[plane[p]])
+                if polarizes and p == 3:
+                    polarization_row(
+                        to[0], to[1], to[2], to[3], gain, w, &out[c, 0, y, 0],
+                        &out[c, 1, y, 0], &out[c, 2, y, 0])

@@ -30,15 +30,16 @@ _CELL = "RRGGRRGGGGBBGGBB"
 
 def colour_channels(
     mosaic: Image, layout: Layout, method: str, clean: NDArray[np.uint8],
-    constants: NDArray[np.void], out: NDArray[np.float32],
-) -> None:
-    """Write what pixels would measure behind each of `COLOURS` to out (3, 4, H, W).
+    constants: NDArray[np.void], out: NDArray[np.float32], gain: float = 1,
+) -> NDArray[np.float32]:
+    """Return out (3, 4, H, W) with what pixels would measure behind each of `COLOURS`.
 
     ``"bilinear"`` takes a colour from its nearest samples behind the same polarizer.
     ``"guided"`` divides each sample by what its colour is, behind its polarizer, in
     parts of the grey around it, and multiplies the channels of that grey mosaic by what
-    each colour is.  The mosaic has usable samples only; `clean` and `constants` are
-    those of the kernel of guided demosaicing.
+    each colour is; S0, angle and degree if out is (3, 3, H, W), with `stokes_gain`.
+    The mosaic has usable samples only; `clean` and `constants` are those of the kernel
+    of guided demosaicing.
     """
     places = np.array(layout.places, np.intp)
     spare = np.empty(144 * (mosaic.shape[1] + 40) + 32, np.float32)
@@ -48,7 +49,7 @@ def colour_channels(
         _kernels.colour_bilinears(mosaic, cell.reshape(4, 4), spare, planes)
         for plane, one in zip(planes, out, strict=True):
             _kernels.bilinear(plane, places, False, spare, one)
-        return
+        return out
     # Whole cells that begin with red; what lacks at borders is repeated.
     top, left = next((y, x) for y, x in np.ndindex(4, 4)
                      if layout.crop(-x, -y).colours == _CELL)
@@ -59,9 +60,10 @@ def colour_channels(
         around = np.ix_(*(np.where(i < 0, i + 4, np.where(i < n, i, i - 4))
                           for i, n in zip((y, x), mosaic.shape, strict=True)))
         mosaic, clean = mosaic[around], clean[around] if clean.size else clean
-        planes = np.empty((3, 4, *mosaic.shape), np.float32)
+        planes = np.empty((*out.shape[:2], *mosaic.shape), np.float32)
     places = np.array(layout.crop(-left, -top).places, np.intp)
     h, w = (n // 4 for n in mosaic.shape)
+    quad = planes[1] if out.shape[1] == 4 else np.empty((4, 4 * h, 4 * w), np.float32)
     grey = planes[0, 0]     # before it is what it shall be
     grey[:] = mosaic
     tints = np.empty((3, 2 * h, 2 * w), np.float32)
@@ -69,10 +71,11 @@ def colour_channels(
     _kernels.colour_ratios(grey, spare, tints, parts)
     _kernels.grey_mosaic(tints, parts, spare, grey)
     _kernels.guided(grey, clean, np.empty((0, 0), np.float32), places, constants, spare,
-                    planes[1])
-    _kernels.colour_planes(places, tints, parts, spare, planes)
+                    quad)
+    _kernels.colour_planes(quad, places, tints, parts, gain, spare, planes)
     if planes is not out:
         out[:] = planes[..., top:top + out.shape[2], left:left + out.shape[3]]
+    return out
 
 
 def joint(quads: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:

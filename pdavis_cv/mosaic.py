@@ -48,7 +48,7 @@ differences too.
 _GUIDED = np.array([(1e-3, 0.3, 3.0, 2.0, 1.0, 3.5, 0.0)], GUIDED_DTYPE)
 # Of the grey mosaic of colours.  What is left of their pattern is noise as well; and
 # with less, smooth light of 2,000 electrons has more noise than after polanalyser.
-_GREY = np.array([(1e-3, 0.3, 3.0, 2.0, 1.0, 20.0, 5.0)], GUIDED_DTYPE)
+GREY = np.array([(1e-3, 0.3, 3.0, 2.0, 1.0, 20.0, 5.0)], GUIDED_DTYPE)
 
 
 def demosaic(
@@ -134,11 +134,11 @@ def demosaic(
     if layout.colours:
         out = output(out, (3, 4, height, width), np.float32, mosaic)
         if mosaic.size:
-            clean = _ALL_CLEAN
+            clean = ALL_CLEAN
             if valid is not None and not valid.all():
                 mosaic = filled_samples(mosaic, valid, 4)
                 clean = _eroded(valid).view(np.uint8)
-            colour_channels(mosaic, layout, method, clean, _GREY, out)
+            colour_channels(mosaic, layout, method, clean, GREY, out)
         return out
     places = places_of(layout)
     if method in HALF_SIZE:
@@ -152,7 +152,7 @@ def demosaic(
     elif method == "binned":
         _kernels.binned(mosaic, places, scratch_rows(10, mosaic.shape[1]), out)
     elif method == "guided":
-        clean, noise = _ALL_CLEAN, _NO_NOISE if variance is None else variance
+        clean, noise = ALL_CLEAN, _NO_NOISE if variance is None else variance
         if valid is not None and not valid.all():
             mosaic = filled_samples(mosaic, valid)
             clean = _eroded(valid).view(np.uint8)
@@ -219,7 +219,7 @@ def demosaic_variance(
     return planes
 
 
-_ALL_CLEAN = np.empty((0, 0), np.uint8)
+ALL_CLEAN = np.empty((0, 0), np.uint8)
 _NO_NOISE = np.empty((0, 0), np.float32)
 
 

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache, partial
 from types import MappingProxyType
 from typing import Any, Self
 
@@ -13,8 +14,14 @@ from pdavis_cv import _kernels
 from pdavis_cv._advice import Advises
 from pdavis_cv._types import Facts, Image
 from pdavis_cv.analyser import Analyser, stokes_gain
-from pdavis_cv.colour_mosaic import COLOURS, joint
-from pdavis_cv.mosaic import demosaic as demosaic_mosaic
+from pdavis_cv.colour_mosaic import COLOURS, colour_channels, joint
+from pdavis_cv.mosaic import (
+    ALL_CLEAN,
+    GREY,
+    check_method,
+    checked_mosaic,
+    demosaic as demosaic_mosaic,
+)
 from pdavis_cv.sensor import Layout
 from pdavis_cv.stokes_vector import (
     aop,
@@ -81,14 +88,16 @@ class PolarFrame(Advises):
     """
 
     __slots__ = (
-        "_analyser", "_aop_dolp", "_colours", "_light", "_origin", "_places_differ",
-        "_provenance", "_quad", "_quality", "_reconciled", "_sigmas", "_stokes",
-        "_usable", "_valid", "_variance", "extinction_ratio", "frame_us", "t_us")
+        "_analyser", "_aop_dolp", "_colours", "_light", "_made", "_origin",
+        "_places_differ", "_provenance", "_quad", "_quality", "_reconciled", "_shape",
+        "_sigmas", "_stokes", "_usable", "_valid", "_variance", "extinction_ratio",
+        "frame_us", "t_us")
 
     t_us: int | None
     frame_us: int | None
     extinction_ratio: float | None
     _quad: NDArray[np.float32] | None
+    _made: Callable[[int], NDArray[np.float32]] | None  # four channels; S0, AoP, DoLP
     _light: NDArray[np.float32] | None
     _colours: Mapping[str, Self]
     _quality: NDArray[np.float32] | None
@@ -142,12 +151,12 @@ class PolarFrame(Advises):
         self._colours = {}
         self._origin = None     # the image whose cached quantities this one uses
         self._aop_dolp = self._light = self._sigmas = self._stokes = None
-        self._usable, self._places_differ = None, False
+        self._made, self._usable, self._places_differ = None, None, False
         if quad.ndim != 3 or quad.shape[0] != 4:
             raise ValueError(f"quad must have shape (4, H, W), got {quad.shape}")
         if valid is not None and valid.dtype != np.bool_:
             raise TypeError(f"valid must be bool, got {valid.dtype}")
-        size = self.shape
+        size = self._shape = quad.shape[1], quad.shape[2]
         for name, array, shape in (("valid", valid, size),
                                    ("variance", variance, (4, *size)),
                                    ("quality", quality, size)):
@@ -170,15 +179,14 @@ class PolarFrame(Advises):
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
-        one = self._colours["green"] if self._quad is None else self
-        height, width = one.quad.shape[-2:]
-        return height, width
+        return self._shape
 
     @property
     def quad(self) -> NDArray[np.float32]:
         """I0, I45, I90, I135; float32, shape (4, H, W)."""
         if self._quad is None:      # of colours
-            self._quad = frozen(joint([self._colours[name].quad for name in COLOURS]))
+            self._quad = frozen(self._made(4) if self._made else joint(
+                [self._colours[name].quad for name in COLOURS]))
         return self._quad
 
     @property
@@ -295,6 +303,9 @@ class PolarFrame(Advises):
             s0, s1, s2 = self._planes()
             aop(s1, s2, angle)
             dolp(s0, s1, s2, degree)
+        elif self._quad is None and self._made:
+            light, angle, degree = self._made(3)
+            self._light = frozen(light)
         else:
             _kernels.s0_aop_dolp(
                 flat(self.quad), stokes_gain(self.extinction_ratio), light.reshape(-1),
@@ -454,6 +465,18 @@ def polarization(
     TypeError, ValueError
         As for `pdavis_cv.demosaic` and `stokes`.
     """
-    quad = demosaic_mosaic(mosaic, layout, demosaic)
-    made = adopted if quad.ndim == 3 else adopted_colours
-    return made(quad, extinction_ratio=extinction_ratio)
+    mosaic, layout = checked_mosaic(mosaic), Layout.of(layout)
+    if not layout.colours or demosaic != "guided" or not mosaic.size:
+        quad = demosaic_mosaic(mosaic, layout, demosaic)
+        made = adopted if quad.ndim == 3 else adopted_colours
+        return made(quad, extinction_ratio=extinction_ratio)
+    check_method(demosaic, mosaic.shape, layout)
+    mosaic, gain = mosaic.copy(), stokes_gain(extinction_ratio)
+    planes = cache(lambda n: colour_channels(   # four, or S0, AoP, DoLP
+        mosaic, layout, demosaic, ALL_CLEAN, GREY,
+        np.empty((3, n, *mosaic.shape), np.float32), gain))
+    image = adopted_colours(np.empty((3, 4, *mosaic.shape), np.float32),
+                            extinction_ratio=extinction_ratio)
+    for c, one in enumerate(image.colours.values()):
+        one._quad, one._made = None, partial(lambda c, n: planes(n)[c], c)
+    return image

@@ -12,7 +12,7 @@ from reference_image import guided
 
 import pdavis_cv
 from pdavis_cv import Layout, LayoutError, LayoutWarning, _kernels, fuse, render
-from pdavis_cv.colour_mosaic import COLOUR_REACH, COLOURS
+from pdavis_cv.colour_mosaic import COLOUR_REACH, COLOURS, joint
 from pdavis_cv.mosaic import REACH, scratch_rows
 from pdavis_cv.polarimetry import adopted_colours
 from pdavis_cv.recording.images.checks import found_colours
@@ -81,8 +81,13 @@ def test_the_kernels_of_guided_colours_equal_their_twins(shape, dtype):
     np.testing.assert_array_equal(image, reference.grey_mosaic(mosaic, tints, ratios))
     out[1] = guided(image, Layout.SONY, noise=20, coarse=5)
     expected = reference.colour_planes(out[1].copy(), COLOUR.places, tints, ratios)
-    _kernels.colour_planes(np.array(COLOUR.places), tints, parts, spare, out)
+    seen, places = np.empty((3, 3, h, w), np.float32), np.array(COLOUR.places)
+    _kernels.colour_planes(out[1], places, tints, parts, 1.25, spare, seen)
+    _kernels.colour_planes(out[1], places, tints, parts, 1.25, spare, out)
     np.testing.assert_array_equal(out, expected)
+    for quad, planes in zip(out, seen, strict=True):
+        image = pdavis_cv.PolarFrame(quad, extinction_ratio=9)
+        np.testing.assert_array_equal(planes, (image.s0, image.aop, image.dolp))
     np.testing.assert_array_equal(out, pdavis_cv.demosaic(mosaic, COLOUR, "guided"))
 
 
@@ -115,10 +120,14 @@ def test_kernels_refuse_arrays_that_do_not_fit():
                 tints, parts[:, :, :1].copy(), f(9999), mosaic)),
             ("images must be", lambda: _kernels.grey_mosaic(
                 tints, parts, f(9999), mosaic[:4])),
-            (r"out must be \(3, 4", lambda: _kernels.colour_planes(
-                places, tints, parts, f(9999), f((3, 3, 8, 8)))),
+            (r"out \(3, 4", lambda: _kernels.colour_planes(
+                f((4, 8, 8)), places, tints, parts, 1, f(9999), f((3, 2, 8, 8)))),
+            (r"out \(3, 4", lambda: _kernels.colour_planes(
+                f((4, 8, 8)), places, tints, parts, 1, f(9999), f((3, 3, 4, 8)))),
+            (r"quad must be \(4", lambda: _kernels.colour_planes(
+                f((3, 8, 8)), places, tints, parts, 1, f(9999), f((3, 4, 8, 8)))),
             ("permutation", lambda: _kernels.colour_planes(
-                2 * places, tints, parts, f(9999), f((3, 4, 8, 8))))):
+                f((4, 8, 8)), 2 * places, tints, parts, 1, f(9999), f((3, 4, 8, 8))))):
         with pytest.raises(ValueError, match=match):
             wrong()
 
@@ -188,6 +197,27 @@ def test_every_colour_has_its_own_polarization(method):
     again = pickle.loads(pickle.dumps(image))
     np.testing.assert_array_equal(again.colours["red"].aop, image.colours["red"].aop)
     assert not image.colours["red"].colours
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("first", ["quad", "s0", "aop", "s1"])
+def test_images_are_the_same_whatever_is_asked_for_first(method, first):
+    mosaic, layout = noise((13, 18)), COLOUR.crop(1, 2)
+    image = pdavis_cv.polarization(mosaic, layout, method, extinction_ratio=50)
+    before = mosaic.copy()
+    mosaic[:] = 0       # the caller's again
+    quads = pdavis_cv.demosaic(before, layout, method)
+    for name, quad in zip(COLOURS, quads, strict=True):
+        one = image.colours[name]
+        assert getattr(one, first).shape[-2:] == one.shape == mosaic.shape
+        known = pdavis_cv.PolarFrame(quad, extinction_ratio=50)
+        again = pickle.loads(pickle.dumps(one))
+        for plane in ("s0", "s1", "s2", "aop", "dolp", "quad", "valid"):
+            got = getattr(one, plane)
+            np.testing.assert_array_equal(got, getattr(known, plane))
+            np.testing.assert_array_equal(got, getattr(again, plane))
+            assert not got.flags.writeable
+    np.testing.assert_array_equal(image.quad, joint(quads))
 
 
 @pytest.mark.parametrize("method", METHODS)
