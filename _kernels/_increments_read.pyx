@@ -4,11 +4,11 @@ from libc.stdint cimport int32_t, int64_t, uint8_t, uint32_t
 from libc.string cimport memset
 
 from _kernels._increments cimport (
-    AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEVEL,
-    NEVER, PER_TURN, PRIOR_ODDS, RESTS, SLOPE, SMOOTH_FROM, VARIANCE, anchor_t,
-    around_t, at_rest, camera_of, camera_t, course_of, course_t, drift_of, lead_of,
-    mean_at, node_t, pixel_t, rest_planes, rest_row, show_row, shown_t, silence_of,
-    silence_t, silent_variance, stored_t, weight)
+    AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEVEL, NEVER, PER_TURN,
+    PRIOR_ODDS, RESTS, SLOPE, SMOOTH_FROM, VARIANCE, anchor_t, around_t, at_rest,
+    camera_of, camera_t, course_of, course_t, drift_of, lead_of, mean_at, node_t,
+    pixel_t, rest_planes, rest_row, show_row, shown_t, silence_of, silence_t,
+    silent_variance, stored_t, weight)
 from _kernels._increments_frames cimport (
     around_of, corner_of, frame_of, frame_t, lags_of, lags_t, node_of, open_since, say,
     silence_in, weigh_counts)
@@ -27,9 +27,9 @@ cdef enum:
 
 cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t* node,
                           const anchor_t* a, const node_t* later, float said,
-                          double b, double v, const double* cov,
-                          const camera_t* c, const int64_t* begins,
-                          const lamp_t* lamp, shown_t* s) noexcept nogil:
+                          double b, double v, const double* cov, const camera_t* c,
+                          const int64_t* begins, const lamp_t* lamp,
+                          shown_t* s) noexcept nogil:
     cdef const stored_t* e = &p.at
     cdef double each, y, rate
     cdef bint hot = a.hot > PRIOR_ODDS
@@ -93,7 +93,7 @@ cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t*
 cdef struct frames_t:
     # The frames before and after a read, and the epoch of the planes.
     frame_t before, later
-    frame_t ended               # later, with its nodes where silences have ended
+    frame_t ended               # later, with nodes as of silences by now (`later_of`)
     const anchor_t* anchors
     const float* back           # NULL: no frame after
     const double* middle        # of both by column
@@ -134,8 +134,7 @@ cdef struct ends_t:
     # ln(I + black) at the last event, from the frames before and after, as known now;
     # variances without what grows with time (< 0: no frame), their covariance, and what
     # is added to that of both.
-    double ahead, behind
-    double p_ahead, p_behind, common, extra
+    double ahead, behind, p_ahead, p_behind, common, extra
 
 
 cdef inline double passed_at(const frame_t* f, double middle, Py_ssize_t x,
@@ -175,10 +174,8 @@ cdef inline ends_t ends_of(const shown_t* s, const frames_t* f, Py_ssize_t x,
         u[k] -= part
         passed += fabs(d[k]) / c.theta[k]
         after += fabs(u[k]) / c.theta[k]
-    if not s.state & BEFORE or s.state & HOT:
-        passed = 0.0
-    if not s.state & AFTER or s.state & HOT:
-        after = 0.0
+    passed = passed if s.state & BEFORE else 0.0
+    after = after if s.state & AFTER else 0.0
     each = passed + after
     each = c.gamma + (0.5 * c.beta * min(each, 1.0) / each if each > 0.0 else 0.0)
     if s.state & BEFORE:
@@ -200,8 +197,8 @@ cdef inline ends_t ends_of(const shown_t* s, const frames_t* f, Py_ssize_t x,
 
 
 cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_,
-                          Py_ssize_t at, Py_ssize_t x, const frames_t* f,
-                          const camera_t* c, double* log, double* variance,
+                          Py_ssize_t x, const frames_t* f, const camera_t* c,
+                          double* log, double* variance,
                           silence_t* silence) noexcept nogil:
     """ln(I + black) at t without what other times and pixels say, its variance, and the
     silence that is open at t."""
@@ -419,9 +416,8 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
             around_of(p, store, &f.before, at, x, p.at.t, lags, c)
         if f.back != NULL:
             begins[1] = f.later.begin[x]
-            show_one(p, store, node, f.anchors + at, later,
-                     f.later.said[at], f.back[at], f.back[size + at],
-                     f.theta_cov, c, begins, f.lamp, s)
+            show_one(p, store, node, f.anchors + at, later, f.later.said[at],
+                     f.back[at], f.back[size + at], f.theta_cov, c, begins, f.lamp, s)
         else:
             show_one(p, store, node, f.anchors + at, node, 0.0, 0.0, -1.0,
                      f.theta_cov, c, begins, f.lamp, s)
@@ -451,12 +447,12 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
             t0 = s.last + <int64_t>(1e6 * knot)
             t1 = s.last + <int64_t>(1e6 * knot * KNOT)
             until = t1
-        estimate(s, t0, t0 + f.ahead if smooth else known, smooth, at, x, f, c, &j0,
+        estimate(s, t0, t0 + f.ahead if smooth else known, smooth, x, f, c, &j0,
                  &v0, &silence)
         plane[SLOPE * size + at] = plane[GROWS * size + at] = 0.0
         plane[BENDS * size + at] = 0.0
         if smooth:
-            estimate(s, t1, t1 + f.ahead, smooth, at, x, f, c, &j1, &v1, &other)
+            estimate(s, t1, t1 + f.ahead, smooth, x, f, c, &j1, &v1, &other)
             since = 1e-6 * <double>(f.epoch - t0)
             rate = (j1 - j0) / (1e-6 * <double>(t1 - t0))
             plane[SLOPE * size + at] = <float>rate
