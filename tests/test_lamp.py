@@ -179,8 +179,8 @@ def error(recording, truth, **options):
     ({}, (1.7, 2.2)), ({"mode": "offline"}, (1.7, 2.2)),
     ({"causal": True}, (5.0, 2.2))])
 def test_flicker_costs_little_accuracy(lit, options, times):
-    # Of AoP and DoLP; the degree in steady light is known to .007.
-    steady = error(*recorded(202.6), **options)
+    # Of AoP and DoLP; the degree in steady light is known to .007 or better.
+    steady = np.maximum(error(*recorded(202.6), **options), (0, 0.007))
     assert np.all(error(*lit, **options) < np.multiply(times, steady))
 
 

@@ -210,7 +210,7 @@ def test_what_no_camera_sends_in_its_time_is_dropped_and_counted(
         [flood] = [one for one in found if one.kind == "flood"]
     # Of 2,300 bytes each, with its objects; a microsecond makes room for 1,000.
     assert flood.count == 100 * 2 * (1_000 - (200_000 + 2 * 1_000) // 2_300)
-    assert len(images) > 5
+    assert images[-1].t_us > 150_000    # a busy machine skips some of a session
 
 
 def test_a_stream_s_problems_are_counted_and_not_kept():
