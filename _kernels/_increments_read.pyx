@@ -148,9 +148,9 @@ cdef inline double passed_at(const frame_t* f, double middle, Py_ssize_t x,
 cdef inline ends_t ends_of(const shown_t* s, const frames_t* f, Py_ssize_t x,
                            const double* rise, const double* bend, double since,
                            const camera_t* c) noexcept nogil:
-    """The estimates from both frames, since (s) the last event.  (8), (13)
+    """The estimates from both frames, and their errors `since` s after the last event.
 
-    Of a silence that was open in an exposure more is known by now.
+    Of a silence that was open in an exposure more is known by now.  (8), (13)
     """
     cdef ends_t out
     cdef double[2] d, u         # ln, passed since the frame before, and until the next
