@@ -6,8 +6,8 @@
 #include "_math.h"
 #include "_prefetch.h"
 
-#define PDAVIS_PIXELS 64        /* that are computed together, */
-#define PDAVIS_CHUNK 4096       /* and among which they are found */
+#define PDAVIS_LANES 16         /* pixels or events that are computed together */
+#define PDAVIS_CHUNK 2048       /* pixels among which they are found */
 #define LEAST_DET 1e-20f
 #define ROW_FLOOR 0.02f         /* least error of an event's row, thresholds */
 #define PRIOR_ROWS 1.0f         /* rows that say that the error is ROW_FLOOR */
@@ -18,13 +18,13 @@
 #define UNKNOWN 0.1f            /* and its most error of DoLP, */
 #define UNSURE 0.2f             /* and of AoP */
 #define MOST_ANGLE 0.9068997f   /* error of a random angle: pi / sqrt(12) */
-#define PDAVIS_EVENTS 16        /* that are computed together */
 #define DARKEST 0.02f           /* of 1 + q: least intensity in a weight, relative */
 #define FEW 0.8f                /* most that an event fades those before it: where fewer
                                    than some five come in a window, it is longer */
 #define GUESS 0.0256f           /* weight of a row of the middle of a gap: its level is
                                    known to 0.25 thresholds, an event's to 0.04 */
 #define OUTLIER 0.25f           /* residual that halves a row's weight, thresholds */
+#define MOST_ROWS 1024.0f       /* of the lasting sums, which then stay */
 
 /* What an image needs: 64 bytes without gaps. */
 typedef struct {
@@ -46,17 +46,13 @@ typedef struct {
     float n0, g0, h0, y0;       /* of OFF rows */
 } turning_lasting_t;
 
-/* Events of as many pixels, with what their cells hold: a11 to b2 in `sums`.  Then
-   `sums`, from s1 to yy, are what rows add to those that have faded by `fade`, `rest` to
-   one that has faded by `slow`, `lasting` to l11 to zz, `own` to those of its polarity. */
-enum { S1, S2, A11, A12, A22, B1, B2, YY, SUMS, LASTING = 6, OWN = 4 };
-typedef float turning_lanes_t[PDAVIS_EVENTS];
+/* Events of as many pixels, and the fading sums of a cell. */
+enum { S1, S2, A11, A12, A22, B1, B2, YY, SUMS, OWN = 4 };
+typedef float turning_lanes_t[PDAVIS_LANES];
 typedef struct {
-    double half[PDAVIS_EVENTS];         /* half of what 2a moved since then, turns */
-    turning_lanes_t dt, c, s, c0, s0;   /* c0, s0: cos 2a, sin 2a at the last event */
-    turning_lanes_t root;               /* exp of half the threshold */
-    turning_lanes_t sign, same;         /* same: 1 if it is that of the last, else 0 */
-    turning_lanes_t fade, slow, rest, sums[SUMS], lasting[LASTING], own[OWN];
+    ptrdiff_t at[PDAVIS_LANES];         /* their pixels */
+    double t[PDAVIS_LANES], rate[PDAVIS_LANES];         /* us; turns of a per us */
+    turning_lanes_t c, s, sign;         /* cos 2a, sin 2a; +-1 */
 } turning_rows_t;
 
 PDAVIS_INLINE float larger(float a, float b)
@@ -104,38 +100,66 @@ PDAVIS_INLINE float turning_light(float q1, float q2, float c, float s)
     return larger(1.0f + q1 * c + q2 * s, DARKEST);
 }
 
-/* The rows of events that have a predecessor: that of the event, and one of the middle
-   of the gap.  per_tau: rate of the slower decay per us. */
+/* From what each event or pixel has of n things to n things of all of them, or back. */
+#define TURN(to, from, n) \
+    for (i = 0; i < PDAVIS_LANES; i++) \
+        for (j = 0; j < (n); j++) \
+            to = from
+
+/* Add m events: the row of each that has a predecessor, and one of the middle of the
+   gap.  per_tau: rate of the slower decay per us. */
 PDAVIS_CLONES PDAVIS_UNUSED static void turning_rows(
-    turning_rows_t *restrict e, float per_tau, float share)
+    const turning_rows_t *restrict e, int m, float per_tau, float share,
+    turning_cell_t *restrict cells, turning_lasting_t *restrict lasting)
 {
-    int i;
-    for (i = 0; i < PDAVIS_EVENTS; i++) {
-        float slow = pd_exp(e->dt[i] * per_tau), fast = slow * slow;
-        float fade = larger(fast, FEW), c0 = e->c0[i], s0 = e->s0[i];
-        float root = e->root[i], inverse = 1.0f / root, step = root - inverse;
+    double halves[PDAVIS_LANES];        /* half of what 2a moved since then, turns */
+    turning_lanes_t gap, cosine, sine, roots, last, count, rest, room;
+    turning_lanes_t sums[SUMS], stays[SUMS], own[OWN];
+    float of[PDAVIS_LANES][SUMS], stay[PDAVIS_LANES][SUMS], mine[PDAVIS_LANES][OWN];
+    int i, j;
+    for (i = 0; i < PDAVIS_LANES; i++) {
+        const turning_cell_t *cell = &cells[e->at[i]];
+        const turning_lasting_t *old = &lasting[e->at[i]];
+        memcpy(of[i], &cell->s1, sizeof of[i]);
+        gap[i] = (float)(e->t[i] - cell->t);
+        halves[i] = (e->t[i] - cell->t) * e->rate[i];
+        cosine[i] = old->c;
+        sine[i] = old->s;
+        roots[i] = (&cell->on)[e->sign[i] < 0.0f];
+        last[i] = cell->sign;
+        count[i] = cell->n;
+        rest[i] = cell->rest;
+        room[i] = MOST_ROWS - (old->n1 + old->n0);
+    }
+    TURN(sums[j][i], of[i][j], SUMS);
+    for (i = 0; i < PDAVIS_LANES; i++) {
+        float slow = pd_exp(gap[i] * per_tau), fast = slow * slow;
+        float fade = larger(fast, FEW), c0 = cosine[i], s0 = sine[i];
+        float had = last[i] != 0.0f ? 1.0f : 0.0f;      /* a predecessor */
+        float root = roots[i], inverse = 1.0f / root, step = root - inverse;
         float y = e->sign[i] * step, ridge = step * (ROW_FLOOR / WIDE);
         float q1, q2, here, before, cm, sm, gm, hm, g, h, half, w;
         float wg, wh, error, most, k;
         ridge *= ridge;
-        turning_solve(e->sums[A11][i] * fade + ridge, e->sums[A12][i] * fade,
-                      e->sums[A22][i] * fade + ridge, e->sums[B1][i] * fade,
-                      e->sums[B2][i] * fade, &q1, &q2);
+        for (j = 0; j < SUMS; j++)
+            sums[j][i] *= fade;
+        turning_solve(sums[A11][i] + ridge, sums[A12][i], sums[A22][i] + ridge,
+                      sums[B1][i], sums[B2][i], &q1, &q2);
         here = turning_light(q1, q2, e->c[i], e->s[i]);
         before = turning_light(q1, q2, c0, s0);
         /* The middle of the gap: half the step, none where the polarity reversed. */
-        turning_circle(e->half[i], &cm, &sm);
+        turning_circle(halves[i], &cm, &sm);
         gm = c0 * cm - s0 * sm;
         hm = s0 * cm + c0 * sm;
-        w = GUESS * share / (before * turning_light(q1, q2, gm, hm));
-        half = 0.25f * y * e->same[i];          /* of ln I to each side of it */
+        w = had * GUESS * share / (before * turning_light(q1, q2, gm, hm));
+        half = e->sign[i] == last[i] ? 0.25f * y : 0.0f;    /* of ln I to each side */
         gm = gm - c0 - half * (gm + c0);
         hm = hm - s0 - half * (hm + s0);
         half *= 2.0f;
         wg = w * gm;
         wh = w * hm;
         /* The event itself, as exp(-ln step / 2) I - exp(ln step / 2) I before. */
-        k = 1.0f / sqrtf(here * before);
+        k = had / sqrtf(here * before);
         most = e->sign[i] > 0.0f ? root : inverse;
         inverse = e->sign[i] > 0.0f ? inverse : root;
         g = (e->c[i] * inverse - c0 * most) * k;
@@ -143,41 +167,61 @@ PDAVIS_CLONES PDAVIS_UNUSED static void turning_rows(
         most = OUTLIER * y;
         y *= k;
         error = y - g * q1 - h * q2;
-        e->sums[A11][i] = wg * gm + g * g;
-        e->sums[A12][i] = wg * hm + g * h;
-        e->sums[A22][i] = wh * hm + h * h;
-        e->sums[B1][i] = wg * half + g * y;
-        e->sums[B2][i] = wh * half + h * y;
-        e->sums[YY][i] = w * half * half + y * y;
-        e->sums[S1][i] = g * error;
-        e->sums[S2][i] = h * error;
+        sums[A11][i] += wg * gm + g * g;
+        sums[A12][i] += wg * hm + g * h;
+        sums[A22][i] += wh * hm + h * h;
+        sums[B1][i] += wg * half + g * y;
+        sums[B2][i] += wh * half + h * y;
+        sums[YY][i] += w * half * half + y * y;
+        sums[S1][i] += g * error;
+        sums[S2][i] += h * error;
+        count[i] = count[i] * fade + had;
         /* In the lasting sums an event that was noise has less weight. */
         k = most * most;
-        k /= k + error * error;
+        k = room[i] > 0.0f ? had * k / (k + error * error) : 0.0f;
         most = 2.0f * step;
         w = error < most ? error : most;
-        e->rest[i] = w > -most ? w : -most;
+        rest[i] = rest[i] * slow + (w > -most ? w : -most);
         wg = k * g;
         wh = k * h;
-        e->lasting[0][i] = wg * g;
-        e->lasting[1][i] = wg * h;
-        e->lasting[2][i] = wh * h;
-        e->lasting[3][i] = wg * y;
-        e->lasting[4][i] = wh * y;
-        e->lasting[5][i] = k * y * y;
-        e->own[0][i] = k;
-        e->own[1][i] = wg;
-        e->own[2][i] = wh;
-        e->own[3][i] = k * y;
-        e->fade[i] = fade;
-        e->slow[i] = slow;
+        stays[0][i] = e->c[i] - c0;
+        stays[1][i] = e->s[i] - s0;
+        stays[2][i] = wg * g;
+        stays[3][i] = wg * h;
+        stays[4][i] = wh * h;
+        stays[5][i] = wg * y;
+        stays[6][i] = wh * y;
+        stays[7][i] = k * y * y;
+        own[0][i] = k;
+        own[1][i] = wg;
+        own[2][i] = wh;
+        own[3][i] = k * y;
+    }
+    TURN(of[i][j], sums[j][i], SUMS);
+    TURN(stay[i][j], stays[j][i], SUMS);
+    TURN(mine[i][j], own[j][i], OWN);
+    for (i = 0; i < m; i++) {
+        turning_cell_t *cell = &cells[e->at[i]];
+        turning_lasting_t *old = &lasting[e->at[i]];
+        float *polarity = &old->n1 + OWN * (e->sign[i] < 0.0f);
+        memcpy(&cell->s1, of[i], sizeof of[i]);
+        cell->t = e->t[i];
+        cell->n = count[i];
+        cell->rest = rest[i];
+        cell->sign = e->sign[i];
+        for (j = 0; j < SUMS; j++)
+            stay[i][j] += (&old->c)[j];
+        for (j = 0; j < OWN; j++)
+            mine[i][j] += polarity[j];
+        memcpy(&old->c, stay[i], sizeof stay[i]);
+        memcpy(polarity, mine[i], sizeof mine[i]);
     }
 }
 
 enum { I0, I45, I90, I135, AOP, DOLP, ACROSS, PLANES };
 
 /* Write I0 to I135 and errors of AoP, DoLP and q across its direction of up to
-   PDAVIS_PIXELS of the m pixels at.  half_us: half a turn; decay: rate of the slower
+   PDAVIS_LANES of the m pixels at.  half_us: half a turn; decay: rate of the slower
    decay per us; late: part of the drift of q that is its error; common: relative error
    that all thresholds have in common; level: what ln S0 is relative to. */
 PDAVIS_INLINE void turning_block(
@@ -186,21 +230,21 @@ PDAVIS_INLINE void turning_block(
     const int32_t *restrict at, int m, float *restrict planes,
     unsigned char *restrict valid)
 {
-    enum { N = SUMS, SCALE, ON, OFF, SIGN, REST, FIELDS };
-    float f[FIELDS][PDAVIS_PIXELS], age[PDAVIS_PIXELS], zero[PDAVIS_PIXELS];
-    float out[PLANES][PDAVIS_PIXELS];
-    int known[PDAVIS_PIXELS], i, k;
-    for (i = 0; i < PDAVIS_PIXELS; i++) {
+    enum { N = SUMS, SCALE, ON, OFF, SIGN, REST, WORDS = 16 };
+    float of[PDAVIS_LANES][WORDS], words[WORDS][PDAVIS_LANES];
+    float (*f)[PDAVIS_LANES] = words + 2, out[PLANES][PDAVIS_LANES];   /* after t */
+    turning_lanes_t age, zero;
+    int known[PDAVIS_LANES], i, j, k;
+    for (i = 0; i < PDAVIS_LANES; i++) {
         /* Behind the last there are others, or pixel 0. */
         const turning_cell_t *cell = &cells[at[i]];
-        const float *restrict word = &cell->s1;
-        PDAVIS_PREFETCH(&cells[at[i + PDAVIS_PIXELS]]);
+        PDAVIS_PREFETCH(&cells[at[i + PDAVIS_LANES]]);
         age[i] = larger((float)(t - cell->t), 0.0f);
         zero[i] = level[at[i]];
-        for (k = 0; k < FIELDS; k++)
-            f[k][i] = word[k];
+        memcpy(of[i], cell, sizeof of[i]);
     }
-    for (i = 0; i < PDAVIS_PIXELS; i++) {
+    TURN(words[j][i], of[i][j], WORDS);
+    for (i = 0; i < PDAVIS_LANES; i++) {
         float slow = pd_exp(age[i] * decay), gone = slow * slow;
         float theta = 0.5f * (f[ON][i] - 1.0f / f[ON][i] + f[OFF][i] - 1.0f / f[OFF][i]);
         float floor = ROW_FLOOR * ROW_FLOOR * theta * theta;
@@ -253,7 +297,7 @@ PDAVIS_INLINE void turning_block(
         out[I90][i] = half * (1.0f - q1);
         out[I135][i] = half * (1.0f - q2);
     }
-    m = m < PDAVIS_PIXELS ? m : PDAVIS_PIXELS;
+    m = m < PDAVIS_LANES ? m : PDAVIS_LANES;
     for (i = 0; i < m; i++) {
         valid[at[i]] = known[i];
         for (k = 0; k < PLANES; k++)
@@ -269,7 +313,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void turning_pixels(
     unsigned char *restrict valid)
 {
     static const float unknown[PLANES] = {0, 0, 0, 0, MOST_ANGLE, WIDE, WIDE};
-    int32_t at[PDAVIS_CHUNK + PDAVIS_PIXELS] = {0};
+    int32_t at[PDAVIS_CHUNK + PDAVIS_LANES] = {0};
     ptrdiff_t first, last, i;
     int m, k;
     for (first = 0; first < n; first = last) {
@@ -284,7 +328,7 @@ PDAVIS_CLONES PDAVIS_UNUSED static void turning_pixels(
             at[m] = (int32_t)i;
             m += seen[i] != 0;
         }
-        for (k = 0; k < m; k += PDAVIS_PIXELS)
+        for (k = 0; k < m; k += PDAVIS_LANES)
             turning_block(t, half_us, decay, late, common, cells, level, n, at + k,
                           m - k, planes, valid);
     }

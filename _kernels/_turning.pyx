@@ -16,7 +16,7 @@ cdef extern from "_prefetch.h" nogil:
     void prefetch "PDAVIS_PREFETCH"(const void*)
 
 cdef extern from "_turning.h" nogil:
-    const int EVENTS "PDAVIS_EVENTS", A11, SUMS, LASTING, OWN, PLANES
+    const int EVENTS "PDAVIS_LANES", PLANES
     ctypedef struct cell_t "turning_cell_t":
         double t
         float s1, s2, a11, a12, a22, b1, b2, yy, n, scale, on, off, sign, rest
@@ -24,13 +24,12 @@ cdef extern from "_turning.h" nogil:
         float c, s, l11, l12, l22, m1, m2, zz, n1, g1, h1, y1, n0, g0, h0, y0
     ctypedef float* lanes_t "float *"
     ctypedef struct rows_t "turning_rows_t":
-        double* half
-        lanes_t dt, c, s, c0, s0, root, sign, same, fade, slow, rest
-        lanes_t* sums
-        lanes_t* lasting
-        lanes_t* own
+        Py_ssize_t* at
+        double* t
+        double* rate
+        lanes_t c, s, sign
     void circle "turning_circle"(double, float*, float*)
-    void turning_rows(rows_t*, float, float)
+    void turning_rows(const rows_t*, int, float, float, cell_t*, lasting_t*)
     void turning_pixels(double, float, float, float, float, const cell_t*,
                         const unsigned char*, const float*, Py_ssize_t, float*,
                         unsigned char*)
@@ -38,46 +37,10 @@ cdef extern from "_turning.h" nogil:
 cdef extern from *:
     """
     #define TWO_PI 6.283185307179586
-    #define MOST_ROWS 1024.0f   /* rows of the lasting sums, which then stay */
     #define RATIO 2             /* of the time constants of `rest` and of q */
     """
     const double TWO_PI
     const int RATIO
-    const float MOST_ROWS
-
-
-cdef inline void put(rows_t* rows, int i, const cell_t* cell, const lasting_t* old,
-                     double t, double rate, float c, float s, int up) noexcept nogil:
-    """Take what the rows of an event depend on."""
-    cdef int k
-    rows.half[i] = (t - cell.t) * rate
-    rows.dt[i] = <float>(t - cell.t)
-    rows.c[i] = c
-    rows.s[i] = s
-    rows.c0[i] = old.c
-    rows.s0[i] = old.s
-    rows.root[i] = (&cell.on)[1 - up]
-    rows.sign[i] = 2 * up - 1
-    rows.same[i] = rows.sign[i] == cell.sign
-    for k in range(A11, SUMS):
-        rows.sums[k][i] = (&cell.s1)[k]
-
-
-cdef inline void add(cell_t* cell, lasting_t* old, const rows_t* rows, int i
-                     ) noexcept nogil:
-    """Add the rows of an event that has a predecessor."""
-    cdef float* own = &old.n1 + OWN * (rows.sign[i] < 0)
-    cdef float by = rows.fade[i]
-    cdef int k
-    for k in range(SUMS):
-        (&cell.s1)[k] = (&cell.s1)[k] * by + rows.sums[k][i]
-    cell.n = cell.n * by + 1
-    cell.rest = cell.rest * rows.slow[i] + rows.rest[i]
-    if old.n1 + old.n0 < MOST_ROWS:
-        for k in range(LASTING):
-            (&old.l11)[k] += rows.lasting[k][i]
-        for k in range(OWN):
-            own[k] += rows.own[k][i]
 
 
 def turning_events(const event_t[::1] events not None, int64_t last,
@@ -99,10 +62,7 @@ def turning_events(const event_t[::1] events not None, int64_t last,
     cdef float c = 1, s = 0
     cdef float per_tau = -1 / (RATIO * tau)
     cdef int j, count, group = 0
-    cdef cell_t* cell
-    cdef lasting_t* old
     cdef rows_t rows
-    cdef Py_ssize_t[EVENTS] places
     if m < 1 or segments.shape[1] != 3:
         raise ValueError("turning_events: segments must be (m, 3), m at least 1")
     if (lasting.shape[0] != h or lasting.shape[1] != w or seen.shape[0] != h
@@ -126,7 +86,7 @@ def turning_events(const event_t[::1] events not None, int64_t last,
                 if (&seen[0, 0])[at] == group:
                     break
                 (&seen[0, 0])[at] = group
-                places[j] = at
+                rows.at[j] = at
                 last = t
                 if (i + j + AHEAD < n and events[i + j + AHEAD].y < h
                         and events[i + j + AHEAD].x < w):
@@ -140,19 +100,15 @@ def turning_events(const event_t[::1] events not None, int64_t last,
                     rate = segments[k, 2]
                     circle((segments[k, 1] + rate * (t - segments[k, 0])) / TWO_PI,
                            &c, &s)
-                put(&rows, j, &cells[y, x], &lasting[y, x], t, rate * (0.5 / TWO_PI),
-                    c, s, events[i + j].p)
+                rows.t[j] = t
+                rows.rate[j] = rate * (0.5 / TWO_PI)
+                rows.c[j] = c
+                rows.s[j] = s
+                rows.sign[j] = 2 * events[i + j].p - 1
                 count += 1
-            turning_rows(&rows, per_tau, share)
-            for j in range(count):
-                cell = &cells[0, 0] + places[j]
-                old = &lasting[0, 0] + places[j]
-                if cell.sign != 0:
-                    add(cell, old, &rows, j)
-                cell.t = events[i + j].t
-                old.c = rows.c[j]
-                old.s = rows.s[j]
-                cell.sign = rows.sign[j]
+            if count:
+                turning_rows(&rows, count, per_tau, share, &cells[0, 0],
+                             &lasting[0, 0])
             i += count
     return i
 

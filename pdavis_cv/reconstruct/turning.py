@@ -285,7 +285,7 @@ def _learned(
     n, y, g, h = (np.stack([lasting[f"{name}1"], lasting[f"{name}0"]])
                   for name in "nygh")
     m1, m2, zz, l11, l12, l22 = (
-        lasting[name] for name in ("m1", "m2", "zz", "l11", "l12", "l22"))
+        lasting[name].copy() for name in ("m1", "m2", "zz", "l11", "l12", "l22"))
     u = _exp(log_theta)                                 # steps of ln I
     u[1] *= -1
     off_mean = log_theta - mean[:, None].astype(np.float32)
