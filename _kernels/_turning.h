@@ -8,6 +8,7 @@
 
 #define PDAVIS_LANES 16         /* pixels or events that are computed together */
 #define PDAVIS_CHUNK 2048       /* pixels among which they are found */
+#define TWO_PI 6.283185307179586
 #define LEAST_DET 1e-20f
 #define ROW_FLOOR 0.02f         /* least error of an event's row, thresholds */
 #define PRIOR_ROWS 1.0f         /* rows that say that the error is ROW_FLOOR */
@@ -25,6 +26,7 @@
                                    known to 0.25 thresholds, an event's to 0.04 */
 #define OUTLIER 0.25f           /* residual that halves a row's weight, thresholds */
 #define MOST_ROWS 1024.0f       /* of the lasting sums, which then stay */
+#define RATIO 2                 /* of the time constants of `rest` and of q */
 
 /* What an image needs: 64 bytes without gaps. */
 typedef struct {

@@ -16,7 +16,8 @@ cdef extern from "_prefetch.h" nogil:
     void prefetch "PDAVIS_PREFETCH"(const void*)
 
 cdef extern from "_turning.h" nogil:
-    const int EVENTS "PDAVIS_LANES", PLANES
+    const double TWO_PI
+    const int EVENTS "PDAVIS_LANES", PLANES, RATIO
     ctypedef struct cell_t "turning_cell_t":
         double t
         float s1, s2, a11, a12, a22, b1, b2, yy, n, scale, on, off, sign, rest
@@ -33,14 +34,6 @@ cdef extern from "_turning.h" nogil:
     void turning_pixels(double, float, float, float, float, const cell_t*,
                         const unsigned char*, const float*, Py_ssize_t, float*,
                         unsigned char*)
-
-cdef extern from *:
-    """
-    #define TWO_PI 6.283185307179586
-    #define RATIO 2             /* of the time constants of `rest` and of q */
-    """
-    const double TWO_PI
-    const int RATIO
 
 
 def turning_events(const event_t[::1] events not None, int64_t last,
@@ -61,7 +54,7 @@ def turning_events(const event_t[::1] events not None, int64_t last,
     cdef double rate = 0
     cdef float c = 1, s = 0
     cdef float per_tau = -1 / (RATIO * tau)
-    cdef int j, count, group = 0
+    cdef int j, group = 0
     cdef rows_t rows
     if m < 1 or segments.shape[1] != 3:
         raise ValueError("turning_events: segments must be (m, 3), m at least 1")
@@ -73,9 +66,8 @@ def turning_events(const event_t[::1] events not None, int64_t last,
         while i < n:
             # Events of as many pixels: another one of the same pixel waits.
             group = group % 255 + 1
-            count = 0
-            while count < EVENTS and i + count < n:
-                j = count
+            j = 0
+            while j < EVENTS and i + j < n:
                 t = events[i + j].t
                 y = events[i + j].y
                 x = events[i + j].x
@@ -105,11 +97,11 @@ def turning_events(const event_t[::1] events not None, int64_t last,
                 rows.c[j] = c
                 rows.s[j] = s
                 rows.sign[j] = 2 * events[i + j].p - 1
-                count += 1
-            if count:
-                turning_rows(&rows, count, per_tau, share, &cells[0, 0],
+                j += 1
+            if j:
+                turning_rows(&rows, j, per_tau, share, &cells[0, 0],
                              &lasting[0, 0])
-            i += count
+            i += j
     return i
 
 

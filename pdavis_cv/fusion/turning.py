@@ -213,16 +213,15 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
         """Return the thresholds that the beginning shows, and their common error."""
         method = TurningRegression(
             self.recording.info.sensor_size, theta_on=on, theta_off=off, **known)
-        feed, stop, count = self._opened(self.recording.packets()), None, 0
-        for item in feed.until(None):
-            if isinstance(item, ApsFrame) or not len(item):
-                continue
-            if stop is None:
-                stop = int(item["t"][0]) + _LEARN_HALF_TURNS * method.half_us
-            method.add_events(item)
-            count += len(item)
-            if item["t"][-1] > stop or count > _LEARN_EVENTS:
-                break
+        start, count = None, 0
+        for packet in self.recording.packets():
+            if len(events := packet.events):
+                start = int(events["t"][0]) if start is None else start
+                method.add_events(events)
+                count += len(events)
+                if count > _LEARN_EVENTS or (
+                        events["t"][-1] - start > _LEARN_HALF_TURNS * method.half_us):
+                    break
         return *method.thresholds, method.common_sigma
 
 

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +24,10 @@ with frequency, does not reach it: 1.2 in recordings by hand; 2.7 where an analy
 gains speed, over 30 where it turns steadily."""
 _LOBE_HZ = 2.25
 """Half width of a line in the spectrum of a window of a second."""
-_CYCLES = 2
-"""Modulation periods after which the phase is measured again."""
-_GAIN, _DAMPING = 0.5, 0.15
-"""Parts of a phase error by which phase and rate follow it."""
-_BESIDE = 4
+_GAIN, _DAMPING, _SLOWING = 0.784, 0.384, 0.064
+"""Parts of a phase error by which phase, rate, and its change in a period follow it:
+those of a parabola through phases of which older ones fade by .6 (Morrison 1969)."""
+_BESIDE = 6
 """Phases to either side on whose parabola one is moved: motors gain speed steadily."""
 _KEPT = 0.9
 """Part of the mean of past phases that remains when a new one is added to it."""
@@ -39,7 +39,7 @@ def found_hz(recording: Recording) -> float | None:
     The first second with events is read.
     """
     t, block, sign = _events(recording, _WINDOW_S)
-    return None if not len(t) else _strongest(t - t[0], block, sign)
+    return _strongest(t - t[:1], block, sign)
 
 
 def found_segments(recording: Recording, phase: float = 0.0) -> NDArray[np.float64]:
@@ -52,8 +52,7 @@ def found_segments(recording: Recording, phase: float = 0.0) -> NDArray[np.float
     t, block, sign = _events(recording)
     middle = (t[0] + t[-1]) / 2 if len(t) else 0.0
     near = np.abs(t - middle) < _WINDOW_S / 2
-    hz = _strongest(t[near] - middle + _WINDOW_S / 2, block[near], sign[near]) if (
-        near.any()) else None
+    hz = _strongest(t[near] - middle + _WINDOW_S / 2, block[near], sign[near])
     if hz is None:
         raise ValueError("recording must show a modulation of 8 to 130 Hz by a turning "
                          "analyser; state its rpm, or triggers")
@@ -131,21 +130,29 @@ def _followed(
     hz: float,
 ) -> list[tuple[float, float]]:
     """Follow the phase of the modulation from time 0 on; return times and phases."""
-    count = int(block.max()) + 1
-    template = np.zeros(count, np.complex128)
-    rate, phase, at = 2 * math.pi * hz, 0.0, 0.0
-    knots = [(0.0, 0.0)]
-    end = float(t[-1])
+    rate, phase, at, gain = 2 * math.pi * hz, 0.0, 0.0, 0.0
+    knots, count = [(0.0, 0.0)], int(block.max()) + 1
+
+    def turned(span: Any) -> Any:
+        return phase + (rate + gain * span / 2) * span
+
+    def wave(start: float, stop: float) -> NDArray[np.complex128]:
+        few = slice(*np.searchsorted(t, (start, stop)))
+        out = np.zeros(count, np.complex128)
+        np.add.at(out, block[few], sign[few] * np.exp(-1j * turned(t[few] - at)))
+        return out
+
+    # The cycle around time 0, which both directions share.
+    template = wave(-0.5 / hz, 0.5 / hz)
     # A part of a cycle has another phase than the template.
-    while at + (span := _CYCLES * 2 * math.pi / rate) <= end or len(knots) < 2:
-        first, last = np.searchsorted(t, (at, at + span))
-        angle = phase + rate * (t[first:last] - at)
-        wave = np.zeros(count, np.complex128)
-        np.add.at(wave, block[first:last], sign[first:last] * np.exp(-1j * angle))
-        error = float(np.angle(np.vdot(template, wave))) if template.any() else 0.0
-        template = _KEPT * template + wave * np.exp(-1j * error)
-        middle = at + span / 2
-        knots.append((middle, phase + rate * span / 2 + error))
-        at, phase = at + span, phase + rate * span + _GAIN * error
-        rate = max(rate + _DAMPING * error / span, math.pi * _LOWEST_HZ / 4)
+    while at + (span := 4 * math.pi / (rate + math.sqrt(max(
+            rate**2 + 4 * math.pi * gain, 0)))) <= t[-1] or len(knots) < 2:
+        found = wave(at, at + span)
+        error = float(np.angle(np.vdot(template, found)))
+        template = _KEPT * template + found * np.exp(-1j * error)
+        knots.append((at + span / 2, turned(span / 2) + error))
+        at, phase = at + span, turned(span) + _GAIN * error
+        rate += gain * span + _DAMPING * error / span
+        rate = max(rate, math.pi * _LOWEST_HZ / 4)
+        gain += _SLOWING * error / span**2
     return knots
