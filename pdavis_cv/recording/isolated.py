@@ -10,7 +10,6 @@ import itertools
 import json
 import mmap
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -19,6 +18,7 @@ import threading
 import warnings
 import weakref
 from collections.abc import Iterator, Sequence
+from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +27,11 @@ from pdavis_cv._remote import is_remote
 from pdavis_cv._workers import deaf
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording import sandbox, wire
-from pdavis_cv.recording.base import Packet, Problem, Recording, RecordingInfo
-from pdavis_cv.recording.limits import Limits
+from pdavis_cv.recording.base import Packet, PlainSource, Problem, Recording
+from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.members import Member, members_of
 from pdavis_cv.recording.options import SourceOptions
+from pdavis_cv.recording.packetise import Batch, packetise
 
 _MOST_TEXT = 16 << 20
 """Bytes of an answer beside its arrays."""
@@ -46,7 +47,7 @@ _CLASSES: dict[str, Any] = {
     "TypeError": TypeError, "ValueError": ValueError, "UserWarning": UserWarning}
 
 
-class IsolatedRecording(Recording):
+class IsolatedRecording(Recording, PlainSource):
     """A recording that another process reads; see `open_recording`.
 
     Parameters
@@ -62,10 +63,9 @@ class IsolatedRecording(Recording):
     """
 
     def __init__(self, source: Any, options: SourceOptions) -> None:
-        self._source, self._options = source, options
-        single = isinstance(source, str | os.PathLike)
-        paths = [source] if single else list(source)
-        self._path = Path(paths[0]) if single else None
+        self._source, self._options, self._name = source, options, str(source)
+        paths = [source] if isinstance(source, str | os.PathLike) else list(source)
+        self._path = Path(source) if paths == [source] else None
         self._problems: tuple[Problem, ...] = ()
         self._lock, self._numbers = threading.Lock(), itertools.count()
         if not sandbox.available():
@@ -79,8 +79,9 @@ class IsolatedRecording(Recording):
         with contextlib.suppress(RecordingError, OSError):      # said by its process
             files = members_of(source)
             folders |= {one.path.resolve().parent for one in files}
-        size = sum(one.size for one in files)
-        self._start((options.limits or Limits()).memory)
+        self._budget = Budget(source, options.limits)
+        size = self._budget.size = sum(one.size for one in files)
+        self._start(self._budget.limits.memory)
         try:
             self._name, self._info = self._ask(
                 [*map(str, folders)], _SECONDS + size / _BYTES_PER_S, source,
@@ -93,27 +94,20 @@ class IsolatedRecording(Recording):
         with deaf(), contextlib.ExitStack() as stack:
             folder = stack.enter_context(tempfile.TemporaryDirectory(
                 prefix="pdavis-", ignore_cleanup_errors=True))
-            shared = sandbox.own_memory(most)
-            self._memory = mmap.mmap(shared, most, prot=mmap.PROT_READ)
-            hears, asks = os.pipe()
-            answers, says = os.pipe()
-            # A process that died has not read all that closing would write to it.
-            stack.enter_context(contextlib.suppress(BrokenPipeError))
-            self._asks = stack.enter_context(open(asks, "wb"))
-            self._hears = stack.enter_context(open(answers, "rb"))
+            size = most + 2 * wire.ROOM
+            shared = sandbox.own_memory(size)
+            self._memory = mmap.mmap(shared, size, prot=mmap.PROT_READ)
+            self._pipe, pipe = Pipe()
+            stack.callback(self._pipe.close)
             path = [os.path.abspath(one) for one in sys.path]
-            theirs = hears, says, shared
-            try:
+            with pipe, open(shared, "rb"):
                 self._process = subprocess.Popen(
                     [sys.executable, "-P", "-W", "ignore", "-c", _SERVE,
-                     json.dumps(path), str(most), *map(str, theirs)],
+                     json.dumps(path), str(most), str(pipe.fileno()), str(shared)],
                     stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-                    stderr=subprocess.DEVNULL, pass_fds=theirs,
+                    stderr=subprocess.DEVNULL, pass_fds=(pipe.fileno(), shared),
                     # OpenBLAS threads would reserve memory for each core.
                     env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "TMPDIR": folder})
-            finally:
-                for descriptor in theirs:
-                    os.close(descriptor)
             stack.callback(self._process.wait)
             stack.callback(self._process.kill)
             self._end = weakref.finalize(self, stack.pop_all().close)
@@ -132,14 +126,13 @@ class IsolatedRecording(Recording):
             if not self._end.alive:
                 raise ValueError(f"{self.name}: recording is closed")
             try:
-                wire.send(self._asks, pickle.dumps(question))
+                self._pipe.send(question)
                 value, error, problems, said = wire.read(
-                    wire.receive(self._hears, _MOST_TEXT), memoryview(self._memory))
+                    self._pipe.recv_bytes(_MOST_TEXT), memoryview(self._memory))
             except (EOFError, OSError):
                 raise self._died() from None
-            except (ValueError, TypeError, LookupError, ArithmeticError,
-                    RecursionError, MemoryError) as bad:
-                raise RecordingError(f"{self._where()}: the process that reads it sent "
+            except Exception as bad:
+                raise RecordingError(f"{self._source}: the process that reads it sent "
                                      f"no answer: {bad}") from bad
             except BaseException:       # an interrupt: the answer is still to come
                 self._end()
@@ -152,9 +145,6 @@ class IsolatedRecording(Recording):
             raise _CLASSES.get(kind, RecordingError)(text)
         return value
 
-    def _where(self) -> str:
-        return str(self._source if self._path is None else self._path)
-
     def _died(self) -> RecordingError:
         try:
             code = self._process.wait(1)
@@ -163,14 +153,8 @@ class IsolatedRecording(Recording):
         self._end()
         how = ("took too much time for an answer" if code == -signal.SIGXCPU
                else f"died ({signal.Signals(-code).name})" if code < 0 else "ended")
-        return RecordingError(f"{self._where()}: the process that reads it {how}: the "
+        return RecordingError(f"{self._source}: the process that reads it {how}: the "
                               "file is damaged")
-
-    @property
-    def info(self) -> RecordingInfo:
-        """Header facts."""
-        info: RecordingInfo = self._info
-        return info
 
     @property
     def problems(self) -> Sequence[Problem]:
@@ -190,18 +174,21 @@ class IsolatedRecording(Recording):
     @property
     def name(self) -> str:
         """Short name for people."""
-        name: str = getattr(self, "_name", self._where())
-        return name
+        return self._name
 
     def packets(
         self, start_us: int | None = None, stop_us: int | None = None
     ) -> Iterator[Packet]:
         """Iterate over the samples with start_us <= time < stop_us, in time order."""
+        return packetise(self._batches(start_us, stop_us), start_us, stop_us,
+                         self._budget, own=True)
+
+    def _batches(self, *window: int | None) -> Iterator[Batch]:
         number = next(self._numbers)
-        self._ask("window", number, start_us, stop_us)
+        self._ask("window", number, *window)
         try:
-            while packets := self._ask("next", number):
-                yield from packets
+            while batches := self._ask("next", number):
+                yield from batches
         finally:
             with contextlib.suppress(ValueError, RecordingError):
                 self._ask("end", number)

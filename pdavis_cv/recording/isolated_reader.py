@@ -5,69 +5,84 @@ import contextlib
 import math
 import mmap
 import os
-import pickle
 import sys
 import warnings
 from collections.abc import Iterator
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from pdavis_cv.recording import sandbox, wire
-from pdavis_cv.recording.base import Packet, Problem, Recording
+from pdavis_cv.recording.base import MAX_PACKET_US, Problem, Recording
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.open import open_recording
+from pdavis_cv.recording.packetise import END_OF_TIME, Batch, cell_start
+from pdavis_cv.recording.scratch import Scratch
+from pdavis_cv.recording.sequential import PiecewiseRecording
 
 _FULL = 2 << 20
-"""Bytes of arrays from which packets are sent.  A choice."""
+"""Bytes of arrays from which they are sent.  A choice."""
+_TEXT = 1 << 10
+"""More than the bytes of text for samples, on average."""
 _MORE_BYTES = 512 << 20
 """Memory beside that of `Limits`: what libraries take."""
 _HERE = Path(__file__).resolve().parents[2]
 
 
-class _Window:
-    """Packets of a window, some of which are read before they are asked for."""
+def _answers(recording: Recording, memory: wire.Shared | None, start_us: int | None,
+             stop_us: int | None) -> Iterator[list[Batch] | Exception]:
+    """Yield samples that are worth an answer; at last none, or what reading raised.
 
-    def __init__(self, packets: Iterator[Packet]) -> None:
-        self._packets, self._ready = packets, list[Packet]()
-        self._error: Exception | None = None
+    Events are decoded to the memory, or elsewhere.
+    """
+    end = END_OF_TIME if stop_us is None else cell_start(stop_us) + MAX_PACKET_US
+    rest: Iterator[Batch] = (
+        recording.batches(start_us, memory or Scratch())
+        if isinstance(recording, PiecewiseRecording) else
+        (Batch(one.events, [*one.frames], one.imu, one.triggers,
+               -END_OF_TIME if one.stop_us is None else one.stop_us - 1)
+         for one in recording.packets(start_us, stop_us)))
+    last: list[Batch] | Exception = []
+    found, size = list[Batch](), 0
+    try:
+        for one in rest:
+            found.append(one)
+            size += _TEXT + sum(4 * math.prod(frame.shape) for frame in one.frames)
+            size += sum(array.nbytes for array in (one.events, one.imu, one.triggers)
+                        if array is not None)
+            if memory is not None and one.events is not None:
+                memory.keep(one.events)
+            if one.complete_us >= end:
+                break
+            if size >= _FULL:
+                yield found
+                found, size = [], 0
+                if memory is not None:
+                    memory.turn()
+    except Exception as error:
+        last = error
+    if found:
+        yield found
+    yield last
 
-    def prepare(self) -> None:
-        """Read until packets are worth an answer."""
-        size = 0
-        try:
-            while size < _FULL and (packet := next(self._packets, None)) is not None:
-                self._ready.append(packet)
-                size += packet.events.nbytes + packet.imu.nbytes + sum(
-                    4 * math.prod(frame.shape) for frame in packet.frames)
-        except Exception as error:
-            self._error = error
 
-    def take(self) -> list[Packet]:
-        """Return the packets that are ready, none at the end."""
-        if not self._ready:
-            self.prepare()
-        if not self._ready and self._error is not None:
-            raise self._error
-        found, self._ready = self._ready, []
-        return found
-
-
-def serve(most: int, hears: int, says: int, shared: int) -> None:
+def serve(most: int, asked: int, shared: int) -> None:
     """Read a recording for another process, until that ends.
 
     Parameters
     ----------
     most : int
-        Size of the shared memory.
-    hears, says, shared : int
-        Descriptors of pipes and of the shared memory.
+        Size of the shared memory beside that for decoding.
+    asked, shared : int
+        Descriptors of a pipe and of the shared memory.
     """
-    memory = mmap.mmap(shared, most)
-    ask, say, said = open(hears, "rb"), open(says, "wb"), list[tuple[str, str]]()
+    memory = wire.Shared(mmap.mmap(shared, most + 2 * wire.ROOM))
+    pipe, said = Connection(asked), list[tuple[str, str]]()
     warnings.simplefilter("always")
     warnings.showwarning = lambda text, kind, *_: said.append(
         (kind.__name__, str(text)))
-    windows: dict[int, _Window] = {}
+    windows: dict[int, Iterator[list[Batch] | Exception]] = {}
+    ready: dict[int, list[Batch] | Exception] = {}
     recording: Recording | None = None
     budget, seconds = Budget(""), 0.0
 
@@ -87,25 +102,31 @@ def serve(most: int, hears: int, says: int, shared: int) -> None:
         sandbox.more_time(seconds)
         what, number, *window = question
         if what == "window":
-            windows[number] = _Window(recording.packets(*window))
+            # One window at a time is decoded to shared memory, others are copied.
+            windows[number] = _answers(recording, None if windows else memory, *window)
         elif what == "end":
             windows.pop(number, None)
+            ready.pop(number, None)
         else:
-            return windows[number].take()
+            found = ready.pop(number, None) or next(windows[number], [])
+            if isinstance(found, Exception):
+                raise found
+            return found
         return None
 
-    with contextlib.suppress(EOFError, BrokenPipeError):
+    with contextlib.suppress(EOFError, OSError):
         while True:
-            question = pickle.loads(wire.receive(ask))
+            question = pipe.recv()
             try:
                 text = wire.written((answer(question), None, problems(), said), memory)
             except Exception as error:
-                lacks = isinstance(error, MemoryError) or "memory alloc" in str(error)
+                lacks = "memory alloc" in str(error) or any(isinstance(
+                    one, MemoryError) for one in (error, error.__cause__))
                 known = budget.over("memory", "its reader") if lacks else error
                 text = wire.written((
                     None, (type(known).__name__, str(known)), problems(), said),
                     memory)
             said.clear()
-            wire.send(say, text)
+            pipe.send_bytes(text)
             if question[0] == "next":
-                windows[question[1]].prepare()
+                ready[question[1]] = next(windows[question[1]], [])

@@ -94,18 +94,14 @@ def recording_from_arrays(
                 f"comes after {frames[i - 1].mid_us} us")
     imu = _checked_samples("imu", imu, IMU_DTYPE)
     triggers = _checked_samples("triggers", triggers, TRIGGER_DTYPE)
-    whole = Packet(events, (), imu, triggers)
-    starts = [t for t in (whole.start_us, *(f.available_us for f in frames[:1]))
-              if t is not None]
-    stops = [t for t in (whole.stop_us, *(f.available_us + 1 for f in frames[-1:]))
-             if t is not None]
+    whole = Packet(events, frames, imu, triggers)
     info = RecordingInfo(
         format="memory", sensor_size=(height, width), layout=layout,
         sensor=None if layout is None else layout.sensor,
         full_scale_dn=frames[0].full_scale_dn if frames else None,
         origins=dict.fromkeys(
             ("sensor_size", "layout", "sensor", "full_scale_dn"), CALLER),
-        start_us=min(starts, default=None), stop_us=max(stops, default=None),
+        start_us=whole.start_us, stop_us=whole.stop_us,
         event_count=len(events), frame_count=len(frames), imu_count=len(imu),
         trigger_count=len(triggers))
     return MemoryRecording(info, events, frames, imu, triggers)

@@ -35,9 +35,13 @@ class PiecewiseRecording(FileRecording):
         self, start_us: int | None = None, stop_us: int | None = None
     ) -> Iterator[Packet]:
         """Iterate over the samples with start_us <= time < stop_us, in time order."""
+        return packetise(self.batches(start_us, Scratch()), start_us, stop_us,
+                         self._budget, own=True)
+
+    def batches(self, start_us: int | None, memory: Scratch) -> Iterator[Batch]:
+        """Return what `packets` divides; `memory` provides that of the events."""
         self._check_open()
-        batches = (batch for batch, _ in self._pieces(start_us, Scratch()))
-        return packetise(batches, start_us, stop_us, self._budget, own=True)
+        return (batch for batch, _ in self._pieces(start_us, memory))
 
     def events(
         self, start_us: int | None = None, stop_us: int | None = None

@@ -1,4 +1,4 @@
-"""Packets and facts as JSON, with arrays in shared memory.
+"""Samples and facts as JSON, with arrays in shared memory.
 
 What is read makes objects by their constructors only, so that nothing that another
 process writes is executed.
@@ -9,9 +9,8 @@ import dataclasses
 import json
 import math
 import mmap
-import struct
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, BinaryIO
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,85 +20,89 @@ from pdavis_cv.recording.base import (
     IMU_DTYPE,
     TRIGGER_DTYPE,
     ApsFrame,
-    Packet,
     Problem,
     RecordingInfo,
 )
+from pdavis_cv.recording.packetise import Batch
+from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.sensor import Layout, Sensor
 
 _MADE: dict[str, Any] = {one.__name__: one for one in (
-    ApsFrame, Layout, Problem, RecordingInfo, Sensor)}
+    ApsFrame, Batch, Layout, Problem, RecordingInfo, Sensor)}
 _FIELDS = {name: {one.lstrip("_"): one for one in (
     ApsFrame.__slots__ if kind is ApsFrame else
     [one.name for one in dataclasses.fields(kind)])} for name, kind in _MADE.items()}
-_KINDS = {"events": EVENT_DTYPE, "imu": IMU_DTYPE, "triggers": TRIGGER_DTYPE}
-_DTYPES = [np.dtype(one) for one in (
-    "?", "u1", "u2", "u4", "i1", "i2", "i4", "i8", "f4", "f8")]
+_DTYPES = [EVENT_DTYPE, IMU_DTYPE, TRIGGER_DTYPE, *map(np.dtype, (
+    "?", "u1", "u2", "u4", "i1", "i2", "i4", "i8", "f4", "f8"))]
 _NUMBERS = {dtype: number for number, dtype in enumerate(_DTYPES)}
 _TEXT = json.JSONEncoder(check_circular=False, separators=(",", ":"))
-_SIZE = struct.Struct("<q")
+ROOM = 32 << 20
+"""Bytes in which events are decoded.  A choice; those of a chunk may take 20 MB."""
 
 
-def send(pipe: BinaryIO, data: bytes) -> None:
-    """Write a message."""
-    pipe.write(_SIZE.pack(len(data)) + data)
-    pipe.flush()
+class Shared(Scratch):
+    """Shared memory, in two parts of which events are decoded in turns.
 
-
-def receive(pipe: BinaryIO, most: int = 1 << 62) -> bytes:
-    """Return a message.
-
-    Raises
-    ------
-    EOFError, OSError
-        If the pipe ends before, or the message is larger than `most`.
+    The other process reads one while the other is filled.
     """
-    head = pipe.read(_SIZE.size)
-    if len(head) < _SIZE.size:
-        raise EOFError
-    size, = _SIZE.unpack(head)
-    if not 0 <= size <= most or len(data := pipe.read(size)) < size:
-        raise EOFError
-    return data
+
+    def __init__(self, memory: mmap.mmap) -> None:
+        super().__init__()
+        self.bytes = np.frombuffer(memory, np.uint8)
+        self.end = len(self.bytes) - 2 * ROOM   # of what is copied
+        self._first, self._end = self.bytes.ctypes.data, 0
+        self.turn()
+
+    def room(self, count: int) -> NDArray[Any]:
+        """Return an array of EVENT_DTYPE after those kept, or elsewhere."""
+        end = self._begin + count * EVENT_DTYPE.itemsize
+        return super().room(count) if end > self._end else self.bytes[
+            self._begin:end].view(EVENT_DTYPE)
+
+    def keep(self, events: NDArray[Any]) -> None:
+        """Leave events as they are until the part is used again."""
+        if (at := self.place(events)) is not None:
+            self._begin = at + events.nbytes
+
+    def turn(self) -> None:
+        """Go on in the other part."""
+        self._begin = self.end + (self._end == self.end + ROOM) * ROOM
+        self._end = self._begin + ROOM
+
+    def place(self, array: NDArray[Any]) -> int | None:
+        """Return where an array lies, None if elsewhere."""
+        inside = array.size and array.base is self.bytes and array.flags.c_contiguous
+        return array.ctypes.data - self._first if inside else None
 
 
-def written(value: Any, memory: mmap.mmap) -> bytes:
-    """Return a value as text, whose arrays are written to the shared memory.
+def written(value: Any, shared: Shared) -> bytes:
+    """Return a value as text, whose arrays lie in shared memory.
 
-    Parameters
-    ----------
-    value : object
-        Anything else than numbers, texts, arrays, sequences, mappings and the objects
-        of recordings is written as its text.
-    memory : mmap
-        What it held before is lost.
+    Anything else than numbers, texts, arrays, sequences, mappings and the objects of
+    recordings is written as its text.  Arrays that were copied there before are lost.
 
     Raises
     ------
     MemoryError
         If the arrays do not fit.
     """
-    memory.seek(0)
+    end = 0
 
-    def placed(arrays: Iterable[NDArray[Any]]) -> int:
-        at = memory.tell()
-        for array in arrays:
-            if array.nbytes > len(memory) - memory.tell():
+    def placed(array: NDArray[Any]) -> int:
+        nonlocal end
+        if (at := shared.place(array)) is None:
+            at, end = end, end + array.nbytes
+            if end > shared.end:
                 raise MemoryError
-            memory.write(np.ascontiguousarray(array))   # type: ignore[arg-type]
+            shared.bytes[at:end] = np.ravel(array).view(np.uint8)
         return at
 
     def plain(value: Any) -> Any:
         if value is None or isinstance(value, (bool, int, float, str)):
             return value
         if isinstance(value, np.ndarray):
-            return {"array": [_NUMBERS[value.dtype], value.shape, placed([value]),
+            return {"array": [_NUMBERS[value.dtype], value.shape, placed(value),
                               value.flags.writeable]}
-        if isinstance(value, list) and value and isinstance(value[0], Packet):
-            return {"packets": [
-                [[len(one.events), len(one.imu), len(one.triggers),
-                  plain(one.until_us), [*map(plain, one.frames)]] for one in value],
-                placed(getattr(one, kind) for kind in _KINDS for one in value)]}
         if (kind := type(value).__name__) in _MADE:
             return {kind: [plain(getattr(value, field))
                            for field in _FIELDS[kind].values()]}
@@ -117,43 +120,32 @@ def written(value: Any, memory: mmap.mmap) -> bytes:
 
 
 def read(text: bytes, memory: memoryview) -> Any:
-    """Return what `written` wrote; arrays are copies, one for all packets of a list.
+    """Return what `written` wrote; arrays are copies.
 
-    Raises
-    ------
-    ValueError, TypeError, LookupError, ArithmeticError, RecursionError, MemoryError
-        If it is something else.
+    Any exception means that it is something else.
     """
-    def copied(count: int, dtype: np.dtype[Any], at: int) -> NDArray[Any]:
-        if count < 0:
-            raise ValueError("arrays have no negative size")
-        return np.frombuffer(
-            memory, np.uint8, count * dtype.itemsize, at).copy().view(dtype)
-
-    def packets(rows: list[Any], at: int) -> Iterator[Packet]:
-        columns = []
-        for i, dtype in enumerate(_KINDS.values()):
-            columns.append(copied(sum(row[i] for row in rows), dtype, at))
-            at += columns[-1].nbytes
-        (events, imu, triggers), e, i, t = columns, 0, 0, 0
-        for n_events, n_imu, n_triggers, until_us, frames in rows:
-            yield Packet(events[e:(e := e + n_events)], tuple(frames),
-                         imu[i:(i := i + n_imu)],
-                         triggers[t:(t := t + n_triggers)], until_us)
-
     def made(value: dict[str, Any]) -> Any:
         [(kind, rest)] = value.items()
-        if kind == "packets":
-            return [*packets(*rest)]
         if kind == "array":
             which, shape, at, writeable = rest
-            array = copied(math.prod(shape), _DTYPES[which], at).reshape(shape)
+            if (count := math.prod(shape)) < 0:
+                raise ValueError("arrays have no negative size")
+            size = count * _DTYPES[which].itemsize
+            array = np.frombuffer(memory, np.uint8, size, at).copy().view(
+                _DTYPES[which]).reshape(shape)
             array.flags.writeable = writeable
             return array
         if kind == "tuple":
             return tuple(rest)
         if kind == "dict":
             return dict(rest)
-        return _MADE[kind](**dict(zip(_FIELDS[kind], rest, strict=True)))
+        one = _MADE[kind](**dict(zip(_FIELDS[kind], rest, strict=True)))
+        if kind == "Batch" and not (isinstance(one.complete_us, int) and all(
+                isinstance(frame, ApsFrame) for frame in one.frames) and all(
+                array is None or (array.dtype, array.ndim) == (dtype, 1)
+                for array, dtype in zip((one.events, one.imu, one.triggers), _DTYPES,
+                                        strict=False))):
+            raise TypeError("these are no samples")
+        return one
 
     return json.loads(text, object_hook=made)
