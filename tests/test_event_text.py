@@ -237,3 +237,18 @@ def test_lines_that_are_not_events_are_counted(tmp_path):
     with pytest.raises(ValueError, match="columns must be the letters txyp"):
         open_recording(tmp_path / "x", columns="txy")
     assert main(["info", str(tmp_path / "x"), "--scan"]) == 0
+
+
+@pytest.mark.parametrize(("first", "said"), [
+    (17 * 10**11, "may be ms since 1970"), (10**9, ""), (17 * 10**14, ""),
+    (10**11, ""), (17 * 10**17, "")])
+def test_times_that_may_be_those_of_a_computer_in_ms_are_said(tmp_path, first, said):
+    lines = "".join(f"{first + k},{k % 4},1,1\n" for k in range(50))
+    (tmp_path / "x.csv").write_text(lines)
+    with open_recording(tmp_path / "x.csv") as recording:
+        assert said in "".join(p.message for p in recording.problems)
+        assert any(p.kind == "time unit" for p in recording.problems) == bool(said)
+    (tmp_path / "x.csv").write_text("t_ms,x,y,p\n" + lines)
+    with open_recording(tmp_path / "x.csv") as recording:
+        assert all(p.kind != "time unit" for p in recording.problems)
+        assert recording.info.header["time_unit"] == "ms"

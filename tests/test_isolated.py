@@ -261,7 +261,9 @@ def test_a_process_that_dies_later_is_an_error(tmp_path, dead):
             recording.events()
 
 
-def test_a_command_isolates(tmp_path, capsys):
+@pytest.mark.parametrize("most", ["1e9", "9e17"])
+def test_a_command_isolates(tmp_path, capsys, most):
     write_aedat4(tmp_path / "x.aedat4", small())
-    assert main(["info", "--isolated", str(tmp_path / "x.aedat4")]) == 0
+    assert main(["info", "--isolated", f"--limits=memory={most}",
+                 str(tmp_path / "x.aedat4")]) == 0
     assert "AEDAT-4" in capsys.readouterr().out

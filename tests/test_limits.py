@@ -21,6 +21,7 @@ from pdavis_cv.recording.bag_writer import write_rosbag
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.packetise import Batch, packetise
+from pdavis_cv.tools.main import main
 
 EVENT = np.dtype([("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "u1"), ("pad", "V3")])
 BASE = 1_700_000_000_000_000
@@ -273,7 +274,7 @@ def test_a_bomb_is_refused_and_takes_no_memory(name, tmp_path):
                           capture_output=True, text=True, timeout=120, check=True)
     megabytes, _, message = done.stdout.partition(" ")
     assert said in message
-    assert (f"limits=Limits({said}=...)" in message) == (said in ("ratio", "memory"))
+    assert (f" Limits({said}=...)" in message) == (said in ("ratio", "memory"))
     assert int(megabytes) < 100 + 512 + 512
 
 
@@ -442,3 +443,11 @@ def test_frames_far_ahead_of_the_events_are_not_kept(tmp_path):
 def test_limits_are_checked(wrong, error):
     with pytest.raises(error):
         Limits(**wrong)
+
+
+@pytest.mark.parametrize("wrong", ["x=1", "memory=0", "memory=1,y=2"])
+def test_a_limit_that_there_is_not_is_told_those_there_are(wrong, capsys):
+    assert main(["info", "--limits", wrong, "x"]) == 2
+    said = capsys.readouterr().err
+    assert f"memory, ratio, work_per_byte, time_span, got {wrong!r}" in said
+    assert "__init__" not in said

@@ -102,9 +102,10 @@ def limits_option(text: str) -> Limits:
         values: dict[str, Any] = {name: number(value) for name, _, value in (
             part.partition("=") for part in text.split(","))}
         return Limits(**values)
-    except (TypeError, ValueError) as error:
-        raise argparse.ArgumentTypeError(
-            f"NAME=NUMBER,.. of Limits is needed, got {text!r}: {error}") from None
+    except (TypeError, ValueError):
+        names = ", ".join(vars(Limits()))
+        raise argparse.ArgumentTypeError("NAME=NUMBER,.. is needed, of a number above "
+                                         f"0 and {names}, got {text!r}") from None
 
 
 def layout_option(text: str) -> Layout:

@@ -55,11 +55,10 @@ class _EventList(SequentialRecording):
             **stated(options, self._copied, sensor_size=self._sensor_size(
                 of_file, self._farthest)))
 
-    def _unit_said(self, unit: str, odd: int) -> str:
-        """Return the unit of times; say that `odd` of those looked at are not in it."""
-        if odd:
-            self._log.add("time unit", None, f"{odd} of the times looked at have "
-                          f"fractions, most have none: all are read as {unit}")
+    def _unit_said(self, unit: str, doubt: str) -> str:
+        """Return the unit of times; say why to doubt it."""
+        if doubt:
+            self._log.add("time unit", None, doubt)
         return unit
 
     @abstractmethod

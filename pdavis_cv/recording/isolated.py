@@ -33,8 +33,8 @@ from pdavis_cv.recording.members import Member, members_of
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import Batch, packetise
 
-_MOST_TEXT = 16 << 20
-"""Bytes of an answer beside its arrays."""
+_MOST_TEXT, _MOST_SHARED = 16 << 20, 1 << 40
+"""Bytes of an answer beside its arrays, and of these: addresses, not memory."""
 _SECONDS, _BYTES_PER_S = 10, 1e6
 """Time of a processor for an answer, and bytes of the file that each second adds.  A
 choice."""
@@ -81,7 +81,7 @@ class IsolatedRecording(Recording, PlainSource):
             folders |= {one.path.resolve().parent for one in files}
         self._budget = Budget(source, options.limits)
         size = self._budget.size = sum(one.size for one in files)
-        self._start(self._budget.limits.memory)
+        self._start(min(int(self._budget.limits.memory), _MOST_SHARED))
         try:
             self._name, self._info = self._ask(
                 [*map(str, folders)], _SECONDS + size / _BYTES_PER_S, source,

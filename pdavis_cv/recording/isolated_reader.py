@@ -20,10 +20,8 @@ from pdavis_cv.recording.packetise import END_OF_TIME, Batch, cell_start
 from pdavis_cv.recording.scratch import Scratch
 from pdavis_cv.recording.sequential import PiecewiseRecording
 
-_FULL = 2 << 20
-"""Bytes of arrays from which they are sent.  A choice."""
-_TEXT = 1 << 10
-"""More than the bytes of text for samples, on average."""
+_FULL, _TEXT = 2 << 20, 1 << 10
+"""Bytes from which samples are sent, and of the text of one.  Choices."""
 _MORE_BYTES = 512 << 20
 """Memory beside that of `Limits`: what libraries take."""
 _HERE = Path(__file__).resolve().parents[2]

@@ -74,8 +74,8 @@ class Budget:
         most = getattr(self.limits, limit)
         return RecordingError(
             f"{self._path}: {what}: more than the limit {limit}={most:g} allows; "
-            f"if the file is to be trusted, limits=Limits({limit}=...) raises it "
-            f"(--limits {limit}=... on the command line)")
+            f"if the file is to be trusted, Limits({limit}=...) raises it, on the "
+            f"command line --limits {limit}=...")
 
     def most(self, packed: int) -> int:
         """Return how many bytes a piece that takes `packed` in the file may have."""

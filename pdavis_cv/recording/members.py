@@ -41,9 +41,8 @@ class Member:
         return {"name": self.path.name, "bytes": self.size, "sha256": self.sha256}
 
 
-def members_of(
-    source: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
-) -> tuple[Member, ...]:
+def members_of(source: str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+               ) -> tuple[Member, ...]:
     """Return the files that a path, a pattern, a folder or several paths denote."""
     if not isinstance(source, str | os.PathLike):
         return tuple(member for one in source for member in members_of(one))

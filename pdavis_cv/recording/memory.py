@@ -107,9 +107,8 @@ def recording_from_arrays(
     return MemoryRecording(info, events, frames, imu, triggers)
 
 
-def _checked_samples(
-    name: str, samples: NDArray[Any] | None, dtype: np.dtype[Any]
-) -> NDArray[Any]:
+def _checked_samples(name: str, samples: NDArray[Any] | None, dtype: np.dtype[Any]
+                     ) -> NDArray[Any]:
     if samples is None:
         return np.empty(0, dtype)
     if samples.dtype != dtype or samples.ndim != 1:

@@ -89,9 +89,8 @@ def open_recording(
     return read_with(found, source, options)
 
 
-def _images(
-    paths: Sequence[str | os.PathLike[str]]
-) -> Sequence[str | os.PathLike[str]]:
+def _images(paths: Sequence[str | os.PathLike[str]]
+            ) -> Sequence[str | os.PathLike[str]]:
     """Return paths after checking that none is a recording of another kind."""
     for one in paths:
         path = as_path(one)

@@ -22,9 +22,9 @@ UNITS = ("us", "s", "ns", "ms")
 """Units of times, in the kernel's order."""
 US_PER = {"s": 1e6, "us": 1.0, "ns": 1e-3}
 """Units of times in arrays, us."""
-NANOSECONDS_FROM = 10**17
-"""Integer times beyond this are nanoseconds: in us it would be the year 5138, in ns it
-is 1973."""
+NANOSECONDS_FROM, _UNIX_MS = 10**17, (1.2e12, 2.2e12)
+"""Integer times beyond the first are nanoseconds: in us it would be the year 5138, in
+ns it is 1973.  The others are 2008 and 2039 in ms; in us, days of a camera's clock."""
 SLOWEST_S = 1.0
 """Mean interval of a recording's events that is beyond any camera's, s."""
 ENOUGH = 20
@@ -199,8 +199,8 @@ def _pixel(text: str) -> bool:
     return 0 <= value < MAX_SIDE and value % 1 == 0
 
 
-def unit_of(times: NDArray[Any]) -> tuple[str, int]:
-    """Return the unit of times, and how many have fractions unlike most.
+def unit_of(times: NDArray[Any]) -> tuple[str, str]:
+    """Return the unit of times, and why it may be wrong, "" if nothing says so.
 
     Those with fractions are seconds, whole ones microseconds, or nanoseconds beyond
     10**17.
@@ -208,20 +208,25 @@ def unit_of(times: NDArray[Any]) -> tuple[str, int]:
     times = times[np.isfinite(times)]
     odd = int(np.count_nonzero(times % 1))
     if odd > min(len(times) / 10, 8):
-        return "s", 0
-    late = len(times) and float(np.median(times)) > NANOSECONDS_FROM
-    return "ns" if late else "us", odd
+        return "s", ""
+    middle = float(np.median(times)) if len(times) else 0.0
+    unit = "ns" if middle > NANOSECONDS_FROM else "us"
+    doubt = f"times near {middle:.4g} are read as us, and may be ms since 1970"
+    if not _UNIX_MS[0] < middle < _UNIX_MS[1]:
+        doubt = (f"{odd} of the times looked at have fractions, most have none: all "
+                 f"are read as {unit}") if odd else ""
+    return unit, doubt
 
 
-def unit_of_times(blocks: Sequence[bytes], order: str) -> tuple[str, int]:
+def unit_of_times(blocks: Sequence[bytes], order: str) -> tuple[str, str]:
     """Return what `unit_of` does, from all times in parts of a text.
 
     They are not seconds if there were less than one event in `SLOWEST_S`.
     """
     times = [[_value(row[0]) for row in rows] for rows in rows_of(blocks, order)]
-    unit, odd = unit_of(np.array([*itertools.chain(*times)]))
+    unit, doubt = unit_of(np.array([*itertools.chain(*times)]))
     if unit != "s":
-        return unit, odd
+        return unit, doubt
     slow = [max(block) - min(block) > SLOWEST_S * len(block) for block in times
             if len(block) >= ENOUGH]
-    return "us" if slow and all(slow) else "s", 0
+    return "us" if slow and all(slow) else "s", ""
