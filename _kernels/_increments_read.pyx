@@ -22,25 +22,30 @@ cdef extern from "_prefetch.h" nogil:
 
 cdef enum:
     HOP = 8                     # pixels of the list between prefetches
+    STEPS = 8                   # of a known gap, between which a pixel is linear,
+    LEAST_STEP = 2_000          # us: if they are as long as this
     OPEN_BEFORE = 16            # flags of shown_t.state: all of the exposure before, or
     OPEN_AFTER = 32             # after, lies in the silence since the last event
 
-cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t* node,
-                          const anchor_t* a, const node_t* later, float said,
-                          double b, double v, const double* cov, const camera_t* c,
-                          const int64_t* begins, const lamp_t* lamp,
-                          shown_t* s) noexcept nogil:
+cdef struct frames_t:
+    # The frames before and after a read, and the epoch of the planes.
+    frame_t before, later
+    frame_t ended               # later, with nodes as of silences by now (`later_of`)
+    const anchor_t* anchors
+    const float* back           # NULL: no frame after
+    const double* middle        # of both by column
+    const lamp_t* lamp
+    Py_ssize_t w, size
+    int64_t epoch, ahead
+    bint alone                  # the frame after has none after it
+    double[3] theta_cov         # of the thresholds' relative errors
+    bint fresh                  # the frames, or their estimates, are others
+
+
+cdef inline void show_events(const pixel_t* p, const stored_t* store,
+                             const camera_t* c, shown_t* s) noexcept nogil:
     cdef const stored_t* e = &p.at
-    cdef double each, y, rate
-    cdef bint hot = a.hot > PRIOR_ODDS
-    cdef int k
-    s.state = HOT if hot else 0
     s.last = e.t if e.run > 0 else -NEVER
-    if e.run > 0 and not hot:
-        if open_since(node.open_t, p) == e.t <= begins[0]:
-            s.state |= OPEN_BEFORE
-        if open_since(later.open_t, p) == e.t <= begins[1]:
-            s.state |= OPEN_AFTER
     s.sign = e.sign if e.run > 0 else 0
     s.context = e.context
     s.before = e.before
@@ -49,7 +54,27 @@ cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t*
         s.next = store[p.next].t
         s.next_sign = store[p.next].sign
         s.next_weight = <float>weight(&store[p.next], c)
-    s.corner = <float>corner_of(a.log if a.sampled > 0.0 else b, c)
+
+
+cdef inline void show_one(const pixel_t* p, Py_ssize_t at, Py_ssize_t x,
+                          const node_t* node, const node_t* later, const frames_t* f,
+                          const camera_t* c, shown_t* s) noexcept nogil:
+    """What a pixel's frames say, beside its events (`show_events`)."""
+    cdef const stored_t* e = &p.at
+    cdef const anchor_t* a = f.anchors + at
+    cdef const lamp_t* lamp = f.lamp
+    cdef double each, y, rate, v = -1.0 if f.back == NULL else f.back[f.size + at]
+    cdef bint hot = a.hot > PRIOR_ODDS
+    cdef int k
+    s.state = HOT if hot else 0
+    if e.run > 0 and not hot:
+        if open_since(node.open_t, p) == e.t <= f.before.begin[x]:
+            s.state |= OPEN_BEFORE
+        if f.back != NULL and (
+                open_since(later.open_t, p) == e.t <= f.later.begin[x]):
+            s.state |= OPEN_AFTER
+    s.corner = <float>corner_of(
+        a.log if a.sampled > 0.0 or f.back == NULL else f.back[at], c)
     y = e.light[0] + e.light[1]
     s.drift = 0.0
     if lamp.blocks > 0:
@@ -66,8 +91,8 @@ cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t*
     s.p_behind = -1.0
     s.opened = node.open_variance if node.open_t == s.last else 0.0
     s.p[0], s.p[1], s.p[2] = a.p[0], a.p[1], a.p[2]
-    s.gains[0], s.gains[1] = a.p[3] + <float>cov[0], a.p[4] + <float>cov[1]
-    s.gains[2] = a.p[5] + <float>cov[2]
+    for k in range(3):
+        s.gains[k] = a.p[3 + k] + <float>f.theta_cov[k]
     for k in range(2):
         s.since[k] = 0.0 if hot else <float>(e.light[k] - node.light[k])
         s.until[k] = 0.0 if hot else <float>(later.light[k] - e.light[k])
@@ -81,28 +106,13 @@ cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t*
                 y - node.mean + s.since[0] * a.gain[0] + s.since[1] * a.gain[1])
     if v > 0.0:
         s.state |= AFTER
-        s.behind = <float>b - said
+        s.behind = f.back[at] - f.later.said[at]
         s.p_behind = <float>v
         if hot:
             s.p_behind += a.motion
         else:
             s.behind -= <float>(
                 later.mean - y + s.until[0] * a.gain[0] + s.until[1] * a.gain[1])
-
-
-cdef struct frames_t:
-    # The frames before and after a read, and the epoch of the planes.
-    frame_t before, later
-    frame_t ended               # later, with nodes as of silences by now (`later_of`)
-    const anchor_t* anchors
-    const float* back           # NULL: no frame after
-    const double* middle        # of both by column
-    const lamp_t* lamp
-    Py_ssize_t w, size
-    int64_t epoch, ahead
-    bint alone                  # the frame after has none after it
-    double[3] theta_cov         # of the thresholds' relative errors
-    bint fresh                  # the frames, or their estimates, are others
 
 
 cdef inline int frames_of(tuple frames, Py_ssize_t h, Py_ssize_t w,
@@ -198,11 +208,10 @@ cdef inline ends_t ends_of(const shown_t* s, const frames_t* f, Py_ssize_t x,
 
 cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_,
                           Py_ssize_t x, const frames_t* f, const camera_t* c,
-                          double* log, double* variance,
-                          silence_t* silence) noexcept nogil:
-    """ln(I + black) at t without what other times and pixels say, its variance, and the
-    silence that is open at t."""
+                          double* log, double* variance) noexcept nogil:
+    """ln(I + black) at t without what other times and pixels say, and its variance."""
     cdef around_t a
+    cdef silence_t silence
     cdef ends_t ends
     cdef double[2] rise = [0.0, 0.0], bend = [0.0, 0.0]
     cdef int k
@@ -225,16 +234,16 @@ cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_
         if a.gap > 0.0:
             course_of(&a, c, rise, bend)
         else:
-            silence[0] = silence_of(&a, c)
+            silence = silence_of(&a, c)
             u = 0.25 * (c.theta[0] + c.theta[1]) * (c.theta[0] + c.theta[1])
-            now = u * silent_variance(silence, a.since)
+            now = u * silent_variance(&silence, a.since)
             then = u * s.opened
             if s.state & OPEN_BEFORE:
                 then = u * silent_variance(
-                    silence, 1e-6 * (f.middle[x] - <double>s.last))
+                    &silence, 1e-6 * (f.middle[x] - <double>s.last))
             if s.state & AFTER:
                 next_ = u * silent_variance(
-                    silence, 1e-6 * (f.middle[f.w + x] - <double>s.last))
+                    &silence, 1e-6 * (f.middle[f.w + x] - <double>s.last))
             if not a.flickers:
                 rise[a.sign > 0], bend[a.sign > 0] = silence.rise, silence.bend
         for k in range(2):
@@ -309,9 +318,9 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
     around receives what the counts of each weigh, less that at the frame before, by way
     of courses; None: nothing is weighed.
 
-    Between events, and farther than all lags from them, a pixel's value is interpolated
-    between times since the event that grow by `KNOT`: an image does not depend on which
-    others are asked for.
+    A pixel is linear between times since its last event that grow by `KNOT`, or between
+    STEPS of a gap whose end is known, and what its counts weigh is as at the first of
+    them: an image does not depend on which others are asked for.
     """
     cdef const camera_t* c = camera_of(camera)
     cdef frames_t f
@@ -398,15 +407,35 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
     cdef int64_t t0 = t, t1 = t, until = 0
     cdef double[3] out
     cdef double j0, v0, j1, v1, since, knot, rate
-    cdef bint rests = False, smooth = False
-    cdef silence_t silence, other
+    cdef bint rests = False, smooth = False, open_ = False
+    cdef silence_t silence
     cdef ends_t ends
     cdef double[2] still = [0.0, 0.0]
-    cdef int64_t[2] begins = [f.before.begin[x], -NEVER]
     cdef int k
     cdef node_t* later = node
+    if changed or f.fresh:
+        show_events(p, store, c, s)
+    knot = since = 1e-6 * <double>(t - s.last)
+    if s.next > known:
+        # By the knot, not by t: whatever was read before, the same segment is shown.
+        if since > SMOOTH_FROM:
+            knot = SMOOTH_FROM
+            while knot * KNOT <= min(since, RESTS * KNOT * c.rest):
+                knot *= KNOT
+        rests = s.sign == 0 or (t - s.last > lags.oldest and max(
+            knot + 1e-6 * <double>f.ahead, <double>s.before) >= RESTS * c.rest)
+        open_ = smooth = not rests and since > SMOOTH_FROM
+        if open_:
+            t0 = s.last + <int64_t>(1e6 * knot)
+            t1 = s.last + <int64_t>(1e6 * knot * KNOT)
+    else:
+        until = (s.next - s.last) // STEPS if s.sign else LEAST_STEP
+        smooth = until >= LEAST_STEP
+        if smooth:
+            t1 = t - (t - s.last) % until + until
+            t0 = max(t1 - until, s.next - f.ahead)
     if f.back != NULL:
-        later = later_of(p, store, at, x, known, f, c, &changed)
+        later = later_of(p, store, at, x, t0 + f.ahead, f, c, &changed)
     if changed or f.fresh:
         if p.at.run > 0 and p.at.t > open_since(node.open_t, p):
             # Its end is known now.
@@ -414,25 +443,7 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
         if (around != NULL and f.ahead == 0 and p.at.run > 0
                 and p.at.t > open_since(node.around_t, p)):
             around_of(p, store, &f.before, at, x, p.at.t, lags, c)
-        if f.back != NULL:
-            begins[1] = f.later.begin[x]
-            show_one(p, store, node, f.anchors + at, later, f.later.said[at],
-                     f.back[at], f.back[size + at], f.theta_cov, c, begins, f.lamp, s)
-        else:
-            show_one(p, store, node, f.anchors + at, node, 0.0, 0.0, -1.0,
-                     f.theta_cov, c, begins, f.lamp, s)
-    silence.rise = silence.bend = 0.0
-    knot = since = 1e-6 * <double>(t - s.last)
-    if s.next > known:
-        # By the knot, not by t: whatever was read before, the same segment is shown.
-        rests = s.sign == 0 or stays(since / KNOT, s, f, c)
-        if not rests and since > SMOOTH_FROM:
-            knot = SMOOTH_FROM
-            while knot * KNOT <= since:
-                knot *= KNOT
-        rests = (rests or stays(knot, s, f, c)) and (
-            s.sign == 0 or t - s.last > lags.oldest)
-        smooth = not rests and since > SMOOTH_FROM
+        show_one(p, at, x, node, later, f, c, s)
     if rests:
         until = NEVER
         ends = ends_of(s, f, x, still, still, 0.0, c)
@@ -443,16 +454,12 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
             plane + VARIANCE * size + at, plane + GROWS * size + at,
             plane + BENDS * size + at)
     else:
-        if smooth:
-            t0 = s.last + <int64_t>(1e6 * knot)
-            t1 = s.last + <int64_t>(1e6 * knot * KNOT)
-            until = t1
-        estimate(s, t0, t0 + f.ahead if smooth else known, smooth, x, f, c, &j0,
-                 &v0, &silence)
+        until = t1 if smooth else 0
+        estimate(s, t0, t0 + f.ahead, open_, x, f, c, &j0, &v0)
         plane[SLOPE * size + at] = plane[GROWS * size + at] = 0.0
         plane[BENDS * size + at] = 0.0
         if smooth:
-            estimate(s, t1, t1 + f.ahead, smooth, x, f, c, &j1, &v1, &other)
+            estimate(s, t1, t1 + f.ahead, open_, x, f, c, &j1, &v1)
             since = 1e-6 * <double>(f.epoch - t0)
             rate = (j1 - j0) / (1e-6 * <double>(t1 - t0))
             plane[SLOPE * size + at] = <float>rate
@@ -462,7 +469,7 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
             v0 += since * rate
         plane[LEVEL * size + at] = <float>j0
         plane[VARIANCE * size + at] = <float>v0
-    if s.next != NEVER:
+    if s.next - f.ahead > t:
         until = min(until, s.next - f.ahead)    # then it is known
     if around != NULL:
         if s.state & HOT:
@@ -470,23 +477,16 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
             for k in range(3):
                 around[k * size + at] = 0.0
         else:
-            if changed or t >= course.until:
-                weigh_counts(p, store, t, f.ahead, lags, c, course)
-            if not smooth:
-                t0 = t
-            if s.next <= known:
-                silence = silence_in(course, known, c)
+            if changed or t0 >= course.until:
+                weigh_counts(p, store, t0, f.ahead, lags, c, course)
+            silence = silence_in(course, t0 + f.ahead, c)
+            if rests:
+                silence.rise = silence.bend = 0.0
             say(course, t0, silence.rise, silence.bend, out)
             for k in range(3):
                 around[k * size + at] = <float>(
                     out[k] - f.before.around[k * size + at])
     return until
-
-
-cdef inline bint stays(double since, const shown_t* s, const frames_t* f,
-                       const camera_t* c) noexcept nogil:
-    """Whether light is still at a time since the last event."""
-    return max(since + 1e-6 * <double>f.ahead, <double>s.before) >= RESTS * c.rest
 
 
 def increments_image(const float[:, :, ::1] planes not None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -152,7 +152,7 @@ class PixelModel:
             noise / full**2 + _LEAST_VARIANCE, 1)
         return variance
 
-    @property
+    @cached_property
     def looks_around(self) -> bool:
         """Whether other times or pixels have a weight."""
         return any(np.any(each) for each in (
