@@ -28,6 +28,7 @@ _LASTING = np.dtype([(name, "f4") for name in (
 _FIRST_SPREAD, _OWN_SPREAD = 0.3, 0.06
 """Errors of ln threshold of a pixel before and after the mean of all pixels is known:
 thresholds of sensors that were measured spread by .03 to .05."""
+_BOTH = math.sqrt(0.5)      # error of the mean of two thresholds, ON and OFF, relative
 _COMMON = 0.03
 """Error of ln of the mean threshold where strongly polarized pixels told it."""
 _STILL_PIXELS = 16
@@ -126,7 +127,7 @@ class TurningRegression:
         self._cells = _aligned(self.shape, _CELL)
         self._lasting = _aligned(self.shape, _LASTING)
         self._seen = np.zeros(self.shape, np.uint8)     # pixels that had an event
-        self._cells["scale"] = _OWN_SPREAD
+        self._cells["scale"] = _BOTH * _OWN_SPREAD
         self._log_theta = np.empty((2, *self.shape), np.float32)
         for plane, name, theta in zip(self._log_theta, ("on", "off"), thetas,
                                       strict=True):
@@ -315,11 +316,10 @@ def _learned(
     both = -u[0] * u[1] * (g[0] * g[1] * i11 + h[0] * h[1] * i22
                            - (g[0] * h[1] + h[0] * g[1]) * l12) / det
     det = np.maximum(f1 * f0 - both * both, _LEAST_DET)
-    scale = np.minimum(spread, np.sqrt(np.maximum(
-        0.25 * variance * (f1 + f0 - 2 * both) / det, 0)))
+    scale = np.sqrt(np.maximum(0.25 * variance * (f1 + f0 - 2 * both) / det, 0))
     still = error <= n.sum(0) * _STILL**2 * u[0] * -u[1]
     strong = still & (q1 * q1 + q2 * q2 >= _STRONG**2) & (scale < 0.5 * spread)
-    scale = np.where(strong, scale, np.float32(spread))
+    scale = np.where(strong, scale, np.float32(_BOTH * spread))
     # Weak light tells their ratio only; their mean is that of all.
     shared = np.where(strong, 0, (0.5 * (step + off_mean)).sum(0))
     # Light that changed otherwise tells nothing.
