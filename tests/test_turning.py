@@ -254,7 +254,7 @@ def test_thresholds_match_the_reference(still):
 
 @pytest.mark.parametrize("later_us", [0, 6000, 60_000])
 def test_images_match_the_reference(still, later_us):
-    method = regression(still, learn=False)
+    method = regression(still, learn=False, threshold_sigma=0.02)
     (_, phase, rate), = method.segments
     t, tau = still.stop_us + later_us, 12_500.0
     found = method.polarization(t - method.lookahead_us)
