@@ -15,7 +15,8 @@ _MOST_PULSES = 4096
 _LOOSE = 0.25
 """Deviation of a pulse from its time, in periods, that is accepted."""
 _LOST = 3
-"""Misfits in succession after which the period is measured anew."""
+"""Misfits in succession after which the period is measured anew.  So it is if most
+gaps have several periods, which are then parts of the true one."""
 _MEASURED = 5
 """Pulses that tell a period."""
 _RECENT = 4096
@@ -148,7 +149,7 @@ class PulseClock:
         # Period before the last pulse that fits, and by how much that is off.
         self._before: tuple[float, float] | None = None
         self._recent: deque[float] = deque(maxlen=_MEASURED)
-        self._misfits = 0       # three times those of late, less pulses that fit
+        self._misfits = 0.0     # three times those of late, less pulses that follow
         self.kept: list[tuple[float, float]] = []
 
     def add(self, pulses_us: ArrayLike) -> None:
@@ -158,8 +159,8 @@ class PulseClock:
             if not self.kept:
                 self.kept.append((t, self._phase))
             elif self._period is not None:
-                self._misfits += -1 if self._fit(t, self._period) else 3
-                self._misfits = max(self._misfits, 0)
+                off = {0: 3, 1: -1}.get(self._fit(t, self._period), 0.5)
+                self._misfits = max(self._misfits + off, 0)
             if self._misfits >= 3 * _LOST or (
                     self._period is None and len(self._recent) == _MEASURED):
                 self._measure()
@@ -177,31 +178,29 @@ class PulseClock:
         rate = np.diff(a) / np.diff(t)
         return np.stack([t, a, np.append(rate[:1], rate)], 1)
 
-    def _fit(self, t: float, period: float) -> bool:
-        """Keep a pulse if it comes about whole periods after the last one."""
+    def _fit(self, t: float, period: float) -> int:
+        """Keep a pulse about whole periods after the last one; return how many."""
         last, angle = self.kept[-1]
-        if self._before is not None and t - last < _LOOSE * period:
+        if self._before is not None and t - last < self._before[0] / 2:
             # It may lie where the last one should have, which was then a false one.
             first, angle = self.kept[-2]
             before, off = self._before
             count = round((last - first) / before)
             if abs((t - first) / before - count) > off:
-                return False
+                return 0
             self.kept.pop()
             last, period = first, before
         count = round((t - last) / period)
         off = abs((t - last) / period - count)
         if count < 1 or off > _LOOSE:
-            return False
+            return 0
         self.kept.append((t, angle + count * self._step))
         self._before, self._period = (period, off), (t - last) / count
-        return True
+        return count
 
     def _measure(self) -> None:
         """Take the period of the last pulses, and those that fit it."""
         self._before, self._misfits = None, 0
         self._period = float(np.median(np.diff(self._recent)))
-        last, _ = self.kept[-1]
-        for t in self._recent:
-            if t > last:
-                self._fit(t, self._period)
+        for t in [one for one in self._recent if one > self.kept[-1][0]]:
+            self._fit(t, self._period)

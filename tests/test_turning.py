@@ -347,15 +347,15 @@ def test_pulses_tell_the_angle(n, drift, ramp):
 
 
 @pytest.mark.parametrize("n", [1, 12])
-@pytest.mark.parametrize("fault", ["lost", "false", "late", "both"])
+@pytest.mark.parametrize("fault", ["lost", "false", "late", "early", "both"])
 def test_a_fault_of_a_pulse_stays_in_its_turn(n, fault):
     t, (at, turns) = pulses(20.0, 5, n, 0.02)
     k = 20 * n
     period = t[k + 1] - t[k]
     bad = np.delete(t, k) if fault in ("lost", "both") else t
     if fault != "lost":
-        bad = np.sort(np.append(bad, t[3 * k] + period * (
-            0.97 if fault == "late" else 0.4)))
+        bad = np.sort(np.append(bad, t[3 * k] + period * {
+            "late": 0.97, "early": 0.78}.get(fault, 0.4)))
     times = np.linspace(0, 5e6, 20_000)
     error = np.abs(turned(TurningAnalyser(triggers=n).segments(bad), times)
                    - np.interp(times, at, turns))
@@ -364,6 +364,15 @@ def test_a_fault_of_a_pulse_stays_in_its_turn(n, fault):
         near |= np.abs(times - one) < 55_000
     assert error[~near].max() < 1e-4
     assert error.max() < 0.05
+
+
+def test_a_stated_speed_three_times_too_large_is_corrected():
+    """Its pulses are not all preceded by two that were lost."""
+    t, (at, turns) = pulses(20.0, 3, 12)
+    times = np.linspace(1e6, 2.9e6, 1000)
+    error = turned(TurningAnalyser(triggers=12, rpm=3600).segments(t), times
+                   ) - np.interp(times, at, turns)
+    assert np.ptp(error) < 1e-4
 
 
 def test_pulses_as_they_come_give_the_angle_from_those_before():
