@@ -73,7 +73,7 @@ def for_script(value: Any) -> str:
 def table_text(text: str) -> str:
     """Return a text as a cell that no spreadsheet takes for a formula."""
     text = shown(text)
-    if text[:1] not in ("=", "+", "-", "@", "\t"):
+    if text[:1] not in [*"=+-@\t\n\uff1d\uff0b\uff0d\uff20"]:
         return text
     try:
         float(text)

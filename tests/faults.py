@@ -37,8 +37,10 @@ def writers(folder):
     source, layout = str(folder / "in.aedat4"), ("--layout", "pdavis", "--fps", "20")
     picture = ("--method", "frames", *layout)
     found = {name: ("export", source, "-o", name, *picture) for name in (
-        "x.npy", "x.npz", "x.ome.tif", "x.h5", "x.png", "x.mp4", "x.webm")}
-    for name in ("y.aedat4", "y.aedat", "y.h5", "y.mcap", "y.db3"):
+        "x.npy", "x.npz", "x.ome.tif", "x.h5", "x.png", "x.mp4", "x.webm", "x.pdf",
+        "x.svg", "x.gif")}
+    for name in ("y.aedat4", "y.aedat", "y.h5", "y.mcap", "y.db3", "y.raw", "y.es",
+                 "y.csv", "y.npy", "y.parquet"):
         found[name] = ("convert", str(folder / "davis.aedat4"), name)
     found["z.npz"] = ("calibrate", "dark", source, "-o", "z.npz")
     found["z.csv"] = ("score", source, "-o", "z", "--methods", "cf", "--thresholds",

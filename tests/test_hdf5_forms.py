@@ -153,3 +153,12 @@ def test_frames_without_as_many_times_are_said(path, count):
         assert sum(len(packet.frames) for packet in recording.packets()) == count
         assert any(f"5 frames have {count} times" in p.message
                    for p in recording.problems)
+
+
+@pytest.mark.parametrize("offset", [2**62, -2**62, 1e300, np.inf, np.nan])
+def test_an_offset_that_is_no_time_is_refused(path, offset):
+    columns(path, some_events())
+    with h5py.File(path, "a") as file:
+        file["t_offset"] = offset
+    with pytest.raises(RecordingError, match=r"t_offset of|cannot convert float"):
+        open_recording(path)

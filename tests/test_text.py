@@ -83,11 +83,12 @@ def test_errors_and_warnings_are_plain_and_short(tmp_path, capsys):
     assert len(capsys.readouterr().err) < MOST_TEXT + 100
 
 
-@pytest.mark.parametrize("start", ["=", "+", "-", "@", "\t"])
+@pytest.mark.parametrize("start", ["=", "+", "-", "@", "\t", "\n", "\uff1d", "\uff0b"])
 def test_cells_are_no_formulas(start, tmp_path):
     export.write_csv(tmp_path / "a.csv", (start + "name", "t"), [
         (start + "1+cmd|' /C calc'!A0", -1.5), ("-2.5", 3)])
-    rows = list(csv.reader((tmp_path / "a.csv").read_text("utf-8").splitlines()))
+    with open(tmp_path / "a.csv", encoding="utf-8", newline="") as file:
+        rows = list(csv.reader(file))
     assert rows == [["'" + start + "name", "t"],
                     ["'" + start + "1+cmd|' /C calc'!A0", "-1.5"], ["-2.5", "3"]]
     assert table_text("plain") == "plain"

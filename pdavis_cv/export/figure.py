@@ -4,6 +4,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 
 from pdavis_cv._beside import write_beside
@@ -93,13 +94,14 @@ def write_figure(
     with write_beside(path) as part, matplotlib.rc_context({
             "pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "pdavis_cv"}):
         text = "" if facts is None else to_json(facts)
+        drawn = BytesIO()   # matplotlib's own errors would hide that of a full disk
         page.figure.savefig(
-            part, format=suffix[1:], dpi=dpi, facecolor=page.ground, metadata={
+            drawn, format=suffix[1:], dpi=dpi, facecolor=page.ground, metadata={
                 ".pdf": {"Creator": "pdavis_cv", "Subject": text, "CreationDate": None},
                 ".svg": {"Creator": "pdavis_cv", "Description": text, "Date": None},
                 ".png": {}}[suffix])
-        if suffix == ".png" and facts is not None:
-            part.write_bytes(embed_png(part.read_bytes(), facts))
+        data = drawn.getvalue()
+        part.write_bytes(embed_png(data, facts) if suffix == ".png" and facts else data)
 
 
 class _Page:

@@ -113,14 +113,9 @@ class IsolatedRecording(Recording, PlainSource):
             self._end = weakref.finalize(self, stack.pop_all().close)
 
     def _ask(self, *question: Any) -> Any:
-        """Return what the process answers.
+        """Return what the process answers, or raise what it raised.
 
-        Raises
-        ------
-        ValueError
-            If the recording was closed.
-        RecordingError
-            If the process died, or sends what is no answer.
+        A RecordingError if it died or sends no answer, ValueError if it was ended.
         """
         with self._lock:
             if not self._end.alive:

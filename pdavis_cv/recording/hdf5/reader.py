@@ -218,7 +218,8 @@ class Hdf5Recording(PiecewiseRecording):
             unit = US_PER[unit_of(self._first(read)[0])[0]]
         stated = self._member(self._file, "t_offset")
         offset = 0 if stated is None else int(stated[()])
-        offset = min(max(offset, -FAR // 2), FAR // 2)
+        if abs(offset) > FAR // 2:
+            raise RecordingError(f"{self._path}: t_offset of {offset:g} us is no time")
 
         def columns(rows: slice) -> Columns:
             t, x, y, p = read(rows)
