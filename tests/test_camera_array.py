@@ -51,8 +51,8 @@ def test_a_shift_and_a_turn_are_undone():
     seen = cameras(channels) + np.random.default_rng(1).normal(0, 5, channels.shape)
     array = AnalyserArray.found(seen)
     for (x, y, angle), wanted in zip(array.moves, MOVES, strict=True):
-        assert (x, y) == pytest.approx(wanted[:2], abs=0.05)
-        assert np.rad2deg(angle) == pytest.approx(wanted[2], abs=0.02)
+        assert (x, y) == pytest.approx(wanted[:2], abs=0.01)
+        assert np.rad2deg(angle) == pytest.approx(wanted[2], abs=0.005)
     image = PolarFrame(array.aligned(seen))
     assert np.median(turn(image, channels)) < 0.5
     assert np.median(turn(PolarFrame(seen), channels)) > 5
