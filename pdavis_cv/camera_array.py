@@ -8,6 +8,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdavis_cv.steps import checked_images
+
+_SIDE = 32      # least, pixels
 _PIXELS = 1 << 20
 """Pixels that suffice: an image of four times as many is binned to be aligned."""
 _FINE, _COARSE = 1.0, 4.0
@@ -55,7 +58,7 @@ class AnalyserArray:
         ValueError
             If an image does not show what the first one shows.
         """
-        stack = _checked(images)
+        stack = checked_images(images, side=_SIDE)
         step = max(math.isqrt(stack[0].size // _PIXELS), 1)
         details = [_detail(image, step) for image in stack]
         found = [((0.0, 0.0, 0.0), 0.0)]
@@ -80,10 +83,7 @@ class AnalyserArray:
         ValueError
             If there is not one image for each move.
         """
-        stack = _checked(images)
-        if len(stack) != len(self.moves):
-            raise ValueError(f"images must be one for each of {len(self.moves)} moves, "
-                             f"got {len(stack)}")
+        stack = checked_images(images, "moves", len(self.moves), _SIDE)
         out = np.stack([_moved(image, move, cval=np.nan)
                         for image, move in zip(stack, self.moves, strict=True)])
         out[:, np.isnan(out).any(0)] = 0
@@ -94,14 +94,6 @@ class AnalyserArray:
             f"image {k} by {x:.2f}, {y:.2f} px (+-{error:.2f}) and "
             f"{math.degrees(turn):.2f} degrees" for k, ((x, y, turn), error) in
             enumerate(zip(self.moves, self.errors, strict=True)) if k)
-
-
-def _checked(images: ArrayLike) -> NDArray[Any]:
-    stack = np.asarray(images)
-    if stack.ndim != 3 or stack.dtype.kind not in "fiu" or min(stack.shape[1:]) < 32:
-        raise ValueError("images must be numbers of shape (N, H, W) with sides of at "
-                         f"least 32, got {stack.dtype} {stack.shape}")
-    return stack
 
 
 def _detail(image: NDArray[Any], step: int) -> NDArray[np.float32]:

@@ -87,7 +87,7 @@ class AnalyserSteps:
         ValueError
             If there are too few images, or they do not tell their angles.
         """
-        stack = _checked(images, None)
+        stack = checked_images(images)
         pixels = stack.reshape(len(stack), -1)
         if len(stack) < _LEAST_TO_FIND:
             raise ValueError(f"images must be at least {_LEAST_TO_FIND} for their "
@@ -134,7 +134,7 @@ class AnalyserSteps:
         ValueError
             If there is not one image for each angle, or a shape differs.
         """
-        stack, a = _checked(images, len(self.angles)), self.response
+        a, stack = self.response, checked_images(images, "angles", len(self.angles))
         if stack.dtype not in (np.uint8, np.uint16):
             stack = stack.astype(np.float32)
         n, shape = len(stack), stack.shape[1:]
@@ -189,13 +189,16 @@ def _pooled(values: NDArray[np.float32] | int) -> NDArray[np.float32]:
         values, _POOLED, mode="nearest"), np.float32)
 
 
-def _checked(images: ArrayLike, count: int | None) -> NDArray[Any]:
+def checked_images(
+    images: ArrayLike, each: str = "", count: int | None = None, side: int = 0
+) -> NDArray[Any]:
+    """Return images (N, H, W), with sides of at least one, one for each of so many."""
     stack = np.asarray(images)
-    if stack.ndim != 3 or stack.dtype.kind not in "fiub":
-        raise ValueError("images must be numbers of shape (N, H, W), got "
+    if stack.ndim != 3 or stack.dtype.kind not in "fiub" or min(stack.shape[1:]) < side:
+        least = f" with sides of at least {side}" if side else ""
+        raise ValueError(f"images must be numbers of shape (N, H, W){least}, got "
                          f"{stack.dtype} {stack.shape}")
     if count is not None and len(stack) != count:
-        raise ValueError(f"images must be one for each of {count} angles, got "
+        raise ValueError(f"images must be one for each of {count} {each}, got "
                          f"{len(stack)}")
     return stack
-
