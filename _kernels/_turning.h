@@ -299,8 +299,7 @@ PDAVIS_INLINE void turning_block(
         out[I90][i] = half * (1.0f - q1);
         out[I135][i] = half * (1.0f - q2);
     }
-    m = m < PDAVIS_LANES ? m : PDAVIS_LANES;
-    for (i = 0; i < m; i++) {
+    for (i = 0; i < m && i < PDAVIS_LANES; i++) {
         valid[at[i]] = known[i];
         for (k = 0; k < PLANES; k++)
             planes[k * n + at[i]] = out[k][i];

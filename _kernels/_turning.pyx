@@ -52,8 +52,7 @@ def turning_events(const event_t[::1] events not None, int64_t last,
     cdef Py_ssize_t i = 0, y, x, k = 0, m = segments.shape[0], at
     cdef int64_t t, now = 0
     cdef double rate = 0
-    cdef float c = 1, s = 0
-    cdef float per_tau = -1 / (RATIO * tau)
+    cdef float c = 1, s = 0, per_tau = -1 / (RATIO * tau)
     cdef int j, group = 0
     cdef rows_t rows
     if m < 1 or segments.shape[1] != 3:

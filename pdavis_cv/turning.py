@@ -172,9 +172,8 @@ class PulseClock:
         """
         t, a = np.array(self.kept[-_RECENT:]).reshape(-1, 2).T
         if len(t) < 2:
-            period = self._nominal or 100_000.0
             first = self.kept[0] if self.kept else (0.0, self._phase)
-            return np.array([[*first, self._step / period]])
+            return np.array([[*first, self._step / (self._nominal or 100_000.0)]])
         rate = np.diff(a) / np.diff(t)
         return np.stack([t, a, np.append(rate[:1], rate)], 1)
 

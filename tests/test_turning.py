@@ -450,6 +450,22 @@ def test_fuse_takes_pulses(few, causal):
     assert rms(np.rad2deg(angle)) < 1
 
 
+def test_a_slow_start_spoils_no_thresholds():
+    pulses_us, (at, turns) = pulses(20.0, 2.5, ramp=1.0)
+
+    class Starting(Still):
+        def light(self, t):
+            angle = 2 * np.pi * np.interp(t * 1e6, at, turns)
+            return 1 + self.dolp * np.cos(2 * (angle - self.aop))
+
+    scene = Starting(24, seconds=2.5, degree=(0.35, 0.95), step=2e-4)
+    image, _ = last_image(as_recording(scene, pulses_us), scene,
+                          analyser=TurningAnalyser(triggers=1))
+    error = np.abs(image.dolp[0, ::16] - scene.dolp)
+    assert rms(error) < 0.02
+    assert np.mean(error < image.sigma_dolp[0, ::16]) > 0.55
+
+
 def test_fuse_finds_the_speed_up_to_the_zero(few):
     image, angle = last_image(as_recording(few), few, analyser=TurningAnalyser())
     zero = np.angle(np.exp(2j * angle).mean()) / 2

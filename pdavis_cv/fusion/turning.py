@@ -32,8 +32,9 @@ _EXCLUDED = "method", "layout", "calibration", "denoise"
 _PULSES = 1, 3      # types of triggers: rising edges, pulses
 _NOMINAL_SIGMA, _STATED_SIGMA = 0.5, 0.05
 """Relative error of thresholds of a data sheet, and of those that the caller states."""
-_LEARN_HALF_TURNS, _LEARN_EVENTS = 128, 4_000_000
-"""Most of the beginning of a recording from which thresholds are learned."""
+_LEARN_EVENTS = 4_000_000
+"""Most from which thresholds are learned: from the middle of a recording on, as a motor
+may start in its beginning; and from there if they do not tell the thresholds."""
 
 
 class TurningFusion(Advises, Iterator[PolarFrame]):
@@ -86,7 +87,7 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
             "roi": (x, y, w, h),
             "source": str(recording.path) if recording.path else recording.info.format,
             "assumed": assumed})
-        self._thresholds: tuple[Any, Any, float] | None = None
+        self._thresholds: tuple[Any, ...] | None = None
         self.rewind()
 
     def __next__(self) -> PolarFrame:
@@ -194,10 +195,10 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
             else _STATED_SIGMA, "centred": not self._passes, **options.parameters}
         if not self._passes and known.get("learn", True):
             self._thresholds = self._thresholds or self._learned(on, off, known)
-            on, off, known["threshold_sigma"] = self._thresholds
-        plane = self._window.plane
-        return TurningRegression(self.shape, theta_on=plane(on), theta_off=plane(off),
-                                 **known), self._opened(packets)
+            on, off, known["threshold_sigma"], known["own_sigma"] = self._thresholds
+            known["learn"] = False
+        return TurningRegression(self.shape, **self._window.planes(
+            {"theta_on": on, "theta_off": off, **known})), self._opened(packets)
 
     @functools.cached_property
     def _found(self) -> NDArray[np.float64]:
@@ -209,20 +210,23 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
         return Feed(packets, by_arrival=self._options.causal,
                     has_frames=info.frame_count != 0, stop_us=info.stop_us)
 
-    def _learned(self, on: Any, off: Any, known: Parameters) -> tuple[Any, Any, float]:
-        """Return the thresholds that the beginning shows, and their common error."""
-        method = TurningRegression(
-            self.recording.info.sensor_size, theta_on=on, theta_off=off, **known)
-        start, count = None, 0
-        for packet in self.recording.packets():
-            if len(events := packet.events):
-                start = int(events["t"][0]) if start is None else start
-                method.add_events(events)
-                count += len(events)
-                if count > _LEARN_EVENTS or (
-                        events["t"][-1] - start > _LEARN_HALF_TURNS * method.half_us):
+    def _learned(self, on: Any, off: Any, known: Parameters) -> tuple[Any, ...]:
+        """Return the thresholds that a part shows, their common and own errors."""
+        assert isinstance(self.recording, Recording)
+        info, starts = self.recording.info, list[int | None]([None])
+        if info.start_us is not None and info.stop_us is not None:
+            starts = [(info.start_us + info.stop_us) // 2, info.start_us]
+        for start in starts:
+            method, count = TurningRegression(
+                info.sensor_size, theta_on=on, theta_off=off, **known), 0
+            for packet in self.recording.packets(start):
+                method.add_events(packet.events)
+                count += len(packet.events)
+                if count > _LEARN_EVENTS:
                     break
-        return *method.thresholds, method.common_sigma
+            if method.common_sigma < known["threshold_sigma"]:
+                break
+        return *method.thresholds, method.common_sigma, method.own_sigma
 
 
 def _pulses(packet: Packet) -> NDArray[np.int64]:

@@ -109,9 +109,8 @@ def _strongest(
     count = np.bincount(block)
     rates = np.bincount(block * bins + at, sign, len(count) * bins).reshape(-1, bins)
     rates = rates[np.argsort(-count)[:_MOST_BLOCKS]]
-    size = 4 * bins
-    power = (np.abs(np.fft.rfft(rates * np.hanning(bins), size)) ** 2).sum(0)
-    hz = np.fft.rfftfreq(size, _BIN_S)
+    power = (np.abs(np.fft.rfft(rates * np.hanning(bins), 4 * bins)) ** 2).sum(0)
+    hz = np.fft.rfftfreq(4 * bins, _BIN_S)
     wanted = (hz >= _LOWEST_HZ) & (hz <= _HIGHEST_HZ)
     best = int(np.argmax(np.where(wanted, power, 0)))
     around = (hz > hz[best] / 1.6) & (hz < hz[best] * 1.6) & (

@@ -87,6 +87,8 @@ class TurningRegression:
         their size, which the shape of the curve tells.
     threshold_sigma : float
         Relative error of the stated thresholds that all pixels have in common.
+    own_sigma : float, or array_like of shape (H, W)
+        Relative error of the mean of a pixel's own thresholds.
 
     Attributes
     ----------
@@ -96,6 +98,8 @@ class TurningRegression:
         Time after an image whose events it uses.
     common_sigma : float
         Relative error that all thresholds have in common.
+    own_sigma : ndarray of float32, shape (H, W)
+        That of the mean of each pixel's thresholds, as it is known.
 
     Raises
     ------
@@ -107,6 +111,7 @@ class TurningRegression:
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
         segments: ArrayLike | PulseClock, half_turns: float = 1.0, centred: bool = True,
         learn: bool = True, threshold_sigma: float = 0.5,
+        own_sigma: ArrayLike = _BOTH * _OWN_SPREAD,
     ) -> None:
         self.shape = sensor_shape(shape)
         thetas = [checked_threshold(name, given, self.shape) for name, given in (
@@ -127,7 +132,8 @@ class TurningRegression:
         self._cells = _aligned(self.shape, _CELL)
         self._lasting = _aligned(self.shape, _LASTING)
         self._seen = np.zeros(self.shape, np.uint8)     # pixels that had an event
-        self._cells["scale"] = _BOTH * _OWN_SPREAD
+        self.own_sigma = self._cells["scale"]
+        self.own_sigma[:] = own_sigma
         self._log_theta = np.empty((2, *self.shape), np.float32)
         for plane, name, theta in zip(self._log_theta, ("on", "off"), thetas,
                                       strict=True):
