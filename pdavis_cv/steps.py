@@ -56,8 +56,8 @@ class AnalyserSteps:
         object.__setattr__(self, "angles", angles)
         if not abs(self.sweep) < math.pi:
             raise ValueError(f"sweep must be less than pi, got {self.sweep}")
-        if len({round(math.remainder(angle, math.pi), 6) for angle in angles
-                if math.isfinite(angle)}) < 3 or not np.isfinite(angles).all():
+        if not np.isfinite(angles).all() or np.linalg.matrix_rank(
+                self.response, 1e-9) < 3:
             shown = ", ".join(f"{math.degrees(angle):g}" for angle in angles)
             raise ValueError("angles must be at least three that differ modulo 180 "
                              f"degrees, got {shown or 'none'}")

@@ -105,7 +105,8 @@ def test_frames_at_a_turning_analyser():
 
 @pytest.mark.parametrize(("degrees", "said"), [
     ((0, 90), "at least three .* got 0, 90"), ((30, 30, 210), "got 30, 30, 210"),
-    ((), "got none"), ((0, 45, float("nan")), "at least three")])
+    ((0, 90, 270), "got 0, 90, 270"), ((), "got none"),
+    ((0, 45, float("nan")), "at least three")])
 def test_angles_that_do_not_determine_the_light(degrees, said):
     with pytest.raises(ValueError, match=said):
         steps(degrees)
