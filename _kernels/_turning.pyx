@@ -11,11 +11,9 @@ from libc.string cimport memset
 
 from _kernels._types cimport event_t
 
-cdef extern from "_prefetch.h" nogil:
+cdef extern from "_turning.h" nogil:
     const Py_ssize_t AHEAD "PDAVIS_AHEAD"
     void prefetch "PDAVIS_PREFETCH"(const void*)
-
-cdef extern from "_turning.h" nogil:
     const double TWO_PI
     const int EVENTS "PDAVIS_LANES", PLANES, RATIO
     ctypedef struct cell_t "turning_cell_t":

@@ -199,7 +199,12 @@ class PulseClock:
 
     def _measure(self) -> None:
         """Take the period of the last pulses, and those that fit it."""
-        self._before, self._misfits = None, 0
-        self._period = float(np.median(np.diff(self._recent)))
+        self._before, self._misfits, gaps = None, 0, np.diff(self._recent)
+        self._period = float(np.median(gaps))
+        if len(self.kept) == 1 and (gaps[1:] < 0.98 * gaps[:-1]).all():
+            # A motor starts: each gap is one period.
+            self.kept = [(t, self._phase + k * self._step)
+                         for k, t in enumerate(self._recent)]
+            self._period = float(gaps[-1])
         for t in [one for one in self._recent if one > self.kept[-1][0]]:
             self._fit(t, self._period)

@@ -213,10 +213,8 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
     def _learned(self, on: Any, off: Any, known: Parameters) -> tuple[Any, ...]:
         """Return the thresholds that a part shows, their common and own errors."""
         assert isinstance(self.recording, Recording)
-        info, starts = self.recording.info, list[int | None]([None])
-        if info.start_us is not None and info.stop_us is not None:
-            starts = [(info.start_us + info.stop_us) // 2, info.start_us]
-        for start in starts:
+        info = self.recording.info
+        for start in ((info.start_us or 0) + (info.stop_us or 0)) // 2, info.start_us:
             method, count = TurningRegression(
                 info.sensor_size, theta_on=on, theta_off=off, **known), 0
             for packet in self.recording.packets(start):
