@@ -6,16 +6,17 @@
 
 /* Lower bound of a squared intensity, relative to the macropixel's squared sum. */
 #define DIM_SHARE 1e-4f
-/* Upper bound of the relative variance by errors of angle and contrast. */
+/* Upper bound of the relative variance by errors of angle, contrast and offset. */
 #define MISMATCH_MOST 1.0f
 #define NO_LIGHT 1e-30f         /* keeps 0 / 0 from being NaN */
 
-/* Add to the variances of ln I those by mismatch.  gain, angle (rad^2) and contrast are
-   variances, the last divided by 4. */
+/* Add to the variances of ln I those by mismatch.  gain, angle (rad^2), contrast and
+   offset (of I) are variances, the third divided by 4. */
 PDAVIS_CLONES PDAVIS_UNUSED static void mismatch_row(
     const float *restrict q0, const float *restrict q1, const float *restrict q2,
-    const float *restrict q3, float gain, float angle, float contrast, ptrdiff_t n,
-    float *restrict v0, float *restrict v1, float *restrict v2, float *restrict v3)
+    const float *restrict q3, float gain, float angle, float contrast, float offset,
+    ptrdiff_t n, float *restrict v0, float *restrict v1, float *restrict v2,
+    float *restrict v3)
 {
     ptrdiff_t i;
     for (i = 0; i < n; i++) {
@@ -23,8 +24,8 @@ PDAVIS_CLONES PDAVIS_UNUSED static void mismatch_row(
         float least = NO_LIGHT + a + b + c + d, bd = b - d, ac = a - c, v;
         float even, odd;
         least *= least * DIM_SHARE;
-        even = angle * bd * bd + contrast * ac * ac;
-        odd = angle * ac * ac + contrast * bd * bd;
+        even = offset + angle * bd * bd + contrast * ac * ac;
+        odd = offset + angle * ac * ac + contrast * bd * bd;
 #define PDAVIS_ADD(q, moved, to)                                                     \
         v = q * q;                                                                   \
         v = v > least ? v : least;                                                   \

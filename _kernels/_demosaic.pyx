@@ -120,7 +120,7 @@ def bilinear_weighted(const float[:, ::1] mosaic not None,
     """Interpolate mosaic into quad, its variance (of ln I) into out; reconcile them.
 
     The same bits as `bilinear` of uncertain samples, `bilinear_variance`, `mismatch`
-    with the three numbers of spread (empty: without it) and `reconcile` with null, but
+    with the four numbers of spread (empty: without it) and `reconcile` with null, but
     row by row, so that intermediate results stay in the cache.  Only rows (first, last)
     are written; scratch is 2 * (w + 32) + 32 floats.  Unless aop and dolp have shape
     (0, 0), they receive what `s0_aop_dolp` gives with gain.

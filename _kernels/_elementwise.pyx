@@ -19,12 +19,12 @@ def exp(const float[:, ::1] x not None, float[:, ::1] out not None):
 
 
 def mismatch(const float[:, :, ::1] quad not None, float gain, float angle,
-             float contrast, float[:, :, ::1] variance not None):
+             float contrast, float offset, float[:, :, ::1] variance not None):
     """Add to variance (of ln I) that of the mismatch of the pixels' responses.
 
     quad and variance are (4, row, column).  gain is the standard deviation of a
     pixel's relative sensitivity, angle that of its polarizer's angle in radians,
-    contrast that of (ER - 1) / (ER + 1).
+    contrast that of (ER - 1) / (ER + 1), offset that of its intensity.
     """
     cdef Py_ssize_t height = quad.shape[1], width = quad.shape[2], row
     cdef float quarter = 0.25
@@ -36,11 +36,12 @@ def mismatch(const float[:, :, ::1] quad not None, float gain, float angle,
     angle *= angle
     contrast *= contrast * quarter
     gain *= gain
+    offset *= offset
     with nogil:
         for row in range(height):
             mismatch_row(
                 &quad[0, row, 0], &quad[1, row, 0], &quad[2, row, 0], &quad[3, row, 0],
-                gain, angle, contrast, width, &variance[0, row, 0],
+                gain, angle, contrast, offset, width, &variance[0, row, 0],
                 &variance[1, row, 0], &variance[2, row, 0], &variance[3, row, 0])
 
 

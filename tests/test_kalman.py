@@ -83,6 +83,16 @@ def test_one_sigma_covers_about_two_thirds_of_the_errors(recorded, camera, optio
     assert score.aop < np.deg2rad(1.1)
 
 
+@pytest.mark.parametrize("s0", [1.0, 5.0])
+def test_sigmas_have_what_no_number_of_frames_averages(s0):
+    light = FlatLight(s0=s0, dolp=0.3, aop=0.5)     # 10 and 50 DN: offsets are 2 DN
+    recording, truth = Camera.preset("typical", seed=41, size=(48, 48)).record(light, 2)
+    found = errors_of(fuse(
+        recording, times_us=[1_900_000], demosaic="superpixel"), truth)
+    assert 0.55 < found.aop_coverage < 0.8
+    assert 0.55 < found.dolp_coverage < 0.8
+
+
 @pytest.mark.accuracy
 @pytest.mark.gate
 @pytest.mark.parametrize(("mode", "aop_deg", "dolp"), [

@@ -53,16 +53,16 @@ def test_a_channel_that_nothing_is_known_of_follows_from_the_others():
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (1, 1), (5, 7)])
-def test_mismatch_is_what_malus_law_says_of_gain_angle_and_contrast(shape):
+def test_mismatch_is_what_malus_law_says_of_gain_angle_contrast_and_offset(shape):
     quad, variance = images(shape=shape)
     before = quad.copy(), variance.copy()
-    _kernels.mismatch(quad, 0.02, 0.012, 0.004, variance)
+    _kernels.mismatch(quad, 0.02, 0.012, 0.004, 0.7, variance)
     np.testing.assert_array_equal(quad, before[0])
     # I = (S0 + c (S1 cos 2a + S2 sin 2a)) / 2, derivatives by angle and by c.
     side = np.roll(quad, -1, 0) - np.roll(quad, 1, 0)
     across = (quad - np.roll(quad, 2, 0)) / 2
     least = 1e-4 * quad.sum(0) ** 2
-    moved = (0.012 * side) ** 2 + (0.004 * across) ** 2
+    moved = (0.012 * side) ** 2 + (0.004 * across) ** 2 + 0.7**2
     expected = before[1] + 0.02**2 + np.minimum(
         moved / np.maximum(quad**2, least), 1)
     np.testing.assert_allclose(variance, expected, rtol=1e-5)
@@ -72,7 +72,7 @@ def test_mismatch_checks_shapes():
     ones = np.ones((4, 2, 2), np.float32)
     for quad, variance in ((ones, ones[:3]), (ones[:, :1], ones)):
         with pytest.raises(ValueError, match="mismatch:"):
-            _kernels.mismatch(quad.copy(), 0, 0, 0, variance.copy())
+            _kernels.mismatch(quad.copy(), 0, 0, 0, 0, variance.copy())
 
 
 def test_sigmas_of_reconciled_images_agree_with_their_scatter():
@@ -114,7 +114,7 @@ def test_shapes_are_checked(bad):
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (3, 5), (26, 34)])
-@pytest.mark.parametrize("spread", [(), (0.02, 0.012, 0.004)])
+@pytest.mark.parametrize("spread", [(), (0.02, 0.012, 0.004, 0.7)])
 @pytest.mark.parametrize("own_null", [False, True])
 def test_one_pass_by_rows_equals_one_step_after_another(shape, spread, own_null):
     rng = np.random.default_rng(4)

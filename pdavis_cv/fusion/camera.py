@@ -1,7 +1,6 @@
 """Layout, polarizers and calibration of the camera that a source was recorded with."""
 from __future__ import annotations
 
-import math
 import weakref
 
 import numpy as np
@@ -138,12 +137,3 @@ def gain_of(
     if demosaic != "guided" or calibration is None or calibration.analyser is None:
         return None
     return np.asarray(2 * calibration.analyser[window][..., 0], np.float32)
-
-
-def mismatch_of(sensor: Sensor | None) -> tuple[float, float, float]:
-    """Return the spread of gain, angle (radians) and contrast of a sensor's pixels."""
-    if sensor is None or sensor.extinction_ratio is None:
-        sensor = Sensor.PDAVIS
-    gain, angle_deg, ratio = sensor.mismatch
-    contrast = 2 * ratio / ((sensor.extinction_ratio or math.inf) + 1) ** 2
-    return gain, math.radians(angle_deg), contrast

@@ -255,7 +255,7 @@ class Fusion(Advises):
             raise ValueError("image must follow a successful advance")
         method = self._state.method
         return self._images.begin(
-            method, self._t, self._frame_us(method, self._t), self.provenance)
+            method, self._t, self._last_frame(method, self._t), self.provenance)
 
     # ---- repositioning -------------------------------------------------------
 
@@ -315,7 +315,7 @@ class Fusion(Advises):
             self._corrected.clipping = snapshot.clipping
         self._frames.extend(snapshot.frames)
         self.index = snapshot.index
-        self._open_feed(snapshot.fed_us, max((mid for mid, _ in snapshot.frames),
+        self._open_feed(snapshot.fed_us, max((mid for mid, *_ in snapshot.frames),
                                              default=None), snapshot.reached_us)
         self._t, self._start_found = snapshot.t_us, True
         self._advance_to(snapshot.t_us)
@@ -415,7 +415,7 @@ class Fusion(Advises):
             start = self.options.start_us
             after = BEFORE if start is None else start - 1
         # Because of the look-ahead, the next frame may have been fed already.
-        fed: int | None = next((mid for mid, _ in self._frames if mid > after), None)
+        fed: int | None = next((mid for mid, *_ in self._frames if mid > after), None)
         while fed is None and (fed := feed.frame_mid(after)) is None:
             settled = feed.read_on()
             if settled is None:
@@ -429,7 +429,7 @@ class Fusion(Advises):
     def _reset(self) -> None:
         """Return to the position before the first image; nothing is read."""
         self.index, self._t = 0, None
-        self._frames: deque[tuple[int, int]] = deque()
+        self._frames: deque[tuple[int, int, float]] = deque()
         self._feed: Feed | None = None
         self._start_found = False       # whether `_find_start` was called
         self._state: InOrderState | ArrivalState | None = None
@@ -562,7 +562,7 @@ class Fusion(Advises):
     def _feed_item(self, item: ApsFrame | Events) -> None:
         assert self._state is not None
         if isinstance(item, ApsFrame):
-            self._frames.append((item.mid_us, item.available_us))
+            self._frames.append((item.mid_us, item.available_us, item.exposure_ms or 1))
             if self.needs.frames:
                 frame = self._corrected(item)
                 if self.options.causal:     # it acts at its arrival
@@ -592,7 +592,8 @@ class Fusion(Advises):
             self._lamp.retune(*self._online.tuning.photoreceptors)
         self._update_provenance(parameters_of(self._state.method))
 
-    def _frame_us(self, method: Reconstructor, t: int) -> int | None:
+    def _last_frame(
+        self, method: Reconstructor, t: int) -> tuple[int, int, float] | None:
         arrived = self.options.causal or method.shows_at_readout
-        return next((mid for mid, available in reversed(self._frames)
-                     if (available if arrived else mid) <= t), None)
+        return next((frame for frame in reversed(self._frames)
+                     if frame[arrived] <= t), None)

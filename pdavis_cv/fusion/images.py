@@ -1,6 +1,7 @@
 """From an estimate of log intensity to an image of polarization."""
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -12,7 +13,7 @@ from pdavis_cv._types import Facts
 from pdavis_cv._workers import Workers
 from pdavis_cv.analyser import Analyser, stokes_gain
 from pdavis_cv.calibration.model import Calibration
-from pdavis_cv.fusion.camera import analyser_of, gain_of, mismatch_of
+from pdavis_cv.fusion.camera import analyser_of, gain_of
 from pdavis_cv.fusion.window import Roi, Window
 from pdavis_cv.mosaic import (
     HALF_SIZE,
@@ -51,9 +52,7 @@ class ImageMaker:
             calibration, (window.rows, window.columns), self._layout, demosaic,
             self._crop)
         self._ratio = extinction_ratio if self._analyser is None else None
-        # An analyser matrix already includes the mismatch of the pixels.
-        spread = mismatch_of(sensor) if self._analyser is None else ()
-        self._spread = np.array(spread, np.float32)
+        self._spread = np.array(mismatch_of(sensor, calibration), np.float32)
         self._gain = gain_of(calibration, (window.rows, window.columns), demosaic)
         null = (self._analyser or Analyser.ideal()).null()
         self._null = np.ascontiguousarray(null.reshape(4, *null.shape[1:] or (1, 1)))
@@ -66,23 +65,26 @@ class ImageMaker:
                       else (height, width))
 
     def begin(
-        self, method: Reconstructor, t_us: int, frame_us: int | None,
+        self, method: Reconstructor, t_us: int, frame: tuple[int, int, float] | None,
         provenance: Facts,
     ) -> PolarFrame | Callable[[], PolarFrame]:
         """Return the image that a method's state, fed for t_us, gives, or its maker.
 
-        `frame_us` is the mid-exposure of the last frame used.  The result is an image
+        `frame` is mid-exposure, arrival and exposure (ms) of the last frame used, which
+        turns the spread of offsets into that of intensities.  The result is an image
         that is held, or a function that makes one: it may be called in another thread
         while the state goes on, and more than once.
         """
+        frame_us, spread = None if frame is None else frame[0], self._spread.copy()
+        spread[3] *= 0 if frame is None or not method.needs.frames else 1 / frame[2]
         shown = method.shows(t_us)
         if shown is not None and self._last is not None and self._last[0] is shown:
             return retimed(self._last[1], t_us, frame_us, provenance)
         read, quality = method.begin_read(t_us), method.quality
 
         def made() -> PolarFrame:
-            return self._made(method, read(), quality, t_us=t_us, frame_us=frame_us,
-                              provenance=provenance)
+            return self._made(method, read(), quality, spread, t_us=t_us,
+                              frame_us=frame_us, provenance=provenance)
 
         if shown is None:
             return made
@@ -91,7 +93,7 @@ class ImageMaker:
 
     def _made(
         self, method: Reconstructor, estimate: Estimate,
-        quality: NDArray[np.float32] | None, **about: Any,
+        quality: NDArray[np.float32] | None, spread: NDArray[np.float32], **about: Any,
     ) -> PolarFrame:
         intensity = method.intensity(estimate.log_intensity)
         if self._gain is not None:
@@ -104,15 +106,16 @@ class ImageMaker:
                 intensity, self._layout, self._demosaic, valid=estimate.valid)),
                 **about)
         if estimate.variance is not None and self._whole:
-            return self._in_one_pass(intensity, estimate.variance, about)
-        quad, variance = self._channels(intensity, estimate.variance, estimate.valid)
+            return self._in_one_pass(intensity, estimate.variance, spread, about)
+        quad, variance = self._channels(
+            intensity, estimate.variance, estimate.valid, spread)
         return adopted(
             quad, analyser=self._analyser, variance=variance, places_differ=True,
             reconciled=variance is not None, **about)
 
     def _in_one_pass(
         self, intensity: NDArray[np.float32], samples: NDArray[np.float32],
-        about: dict[str, Any],
+        spread: NDArray[np.float32], about: dict[str, Any],
     ) -> PolarFrame:
         """Return the image of uncertain samples; of several threads, with its angle."""
         quad, variance = np.empty((2, 4, *intensity.shape), np.float32)
@@ -122,7 +125,7 @@ class ImageMaker:
 
         def work(first: int, last: int) -> None:
             _kernels.bilinear_weighted(
-                intensity, samples, places_of(self._layout), self._spread, self._null,
+                intensity, samples, places_of(self._layout), spread, self._null,
                 (first, last), scratch_rows(2, intensity.shape[1]), quad, variance,
                 stokes_gain(self._ratio), aop, dolp)
 
@@ -150,7 +153,7 @@ class ImageMaker:
 
     def _channels(
         self, intensity: NDArray[np.float32], samples: NDArray[np.float32] | None,
-        usable: NDArray[np.bool_],
+        usable: NDArray[np.bool_], spread: NDArray[np.float32],
     ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         """Return the four intensities of each pixel and, if known, their variances."""
         quad = self._cropped(demosaic_mosaic(
@@ -159,9 +162,8 @@ class ImageMaker:
             return quad, None
         variance = self._cropped(demosaic_variance(
             samples, self._layout, self._demosaic, valid=usable))
-        if self._spread.size:
-            gain, angle, contrast = self._spread.tolist()
-            _kernels.mismatch(quad, gain, angle, contrast, variance)
+        gain, angle, contrast, offset = spread.tolist()
+        _kernels.mismatch(quad, gain, angle, contrast, offset, variance)
         # The four channels measure three numbers: weighted least squares.
         _kernels.reconcile(quad, variance, self._null)
         return quad, variance
@@ -171,3 +173,20 @@ class ImageMaker:
             return array
         rows, columns = self._crop
         return np.ascontiguousarray(array[..., rows, columns])
+
+
+def mismatch_of(
+    sensor: Sensor | None, calibration: Calibration | None,
+) -> tuple[float, float, float, float]:
+    """Return the spread of gain, angle (radians), contrast and offset (DN) of pixels.
+
+    What was calibrated has none.
+    """
+    if sensor is None or sensor.extinction_ratio is None:
+        sensor = Sensor.PDAVIS
+    gain, angle_deg, ratio = sensor.mismatch
+    contrast = 2 * ratio / ((sensor.extinction_ratio or math.inf) + 1) ** 2
+    if calibration is not None and calibration.analyser is not None:
+        gain = angle_deg = contrast = 0.0
+    known = calibration is not None and calibration.dark is not None
+    return gain, math.radians(angle_deg), contrast, 0.0 if known else sensor.offset_dn

@@ -31,8 +31,8 @@ class FusionSnapshot:
     state : Snapshot or None
         State of the Reconstructor.  With ``causal`` and a method that takes no late
         frames, the state at the last frame's mid-exposure.
-    frames : tuple of (int, int)
-        Mid-exposure and arrival of the last frames fed, us.
+    frames : tuple of (int, int, float)
+        Mid-exposure and arrival (us) and exposure (ms) of the last frames fed.
     reached_us : int
         Time of the last sample read, which may lie before `fed_us`.
     lamp : mapping of str to object, or None
@@ -50,7 +50,7 @@ class FusionSnapshot:
     fed_us: int | None = None
     t_us: int | None = None
     state: Snapshot | None = None
-    frames: tuple[tuple[int, int], ...] = ()
+    frames: tuple[tuple[int, int, float], ...] = ()
     reached_us: int = BEFORE
     lamp: Mapping[str, Any] | None = None
     learning: Parameters | None = None

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import PolarFrame, Recording, analysis, fuse
-from pdavis_cv.fusion.camera import chosen_layout, chosen_sensor, mismatch_of
+from pdavis_cv.fusion.camera import chosen_layout, chosen_sensor
+from pdavis_cv.fusion.images import mismatch_of
 from pdavis_cv.mosaic import HALF_SIZE
 from pdavis_cv.sensor import Sensor
 
@@ -155,13 +156,12 @@ def _errors(
     """Return the errors of camera, polarizers and demosaicing in each region."""
     calibration = calibration_of(args.calibration) if args.calibration else None
     sensor = recording.info.sensor or Sensor.PDAVIS
-    gain, angle, contrast = mismatch_of(sensor)
+    gain, angle, contrast, dark = mismatch_of(sensor, calibration)
+    dark /= max(float(exposure_us.mean()) / 1e3, 1e-3)
     common = _CONTRAST_SIGMA if args.extinction_ratio is None and (
         image.provenance["extinction_ratio"] == _RATIO) else 0.0
     if calibration is not None and calibration.analyser is not None:
-        gain = angle = contrast = common = 0.0
-    dark = 0.0 if calibration is not None and calibration.dark is not None else (
-        sensor.offset_dn / max(float(exposure_us.mean()) / 1e3, 1e-3))
+        common = 0.0
     scale, found = _place(image)[1], []
     sampled: list[FloatArray] = []
     if scale == 1 and fit.regions:
