@@ -543,3 +543,16 @@ def test_a_file_without_frames_says_so_and_is_reconstructed_from_events(tmp_path
     path.write_bytes(HEADER + data + aps(0, 0, 0, 500, 200_000))
     with open_recording(path) as recording:
         assert recording.info.frame_count is None
+
+
+def test_a_frame_in_which_time_jumps_is_in_its_window(tmp_path):
+    reset, signal = reads(1)
+    data = [column_reads(0, reset, 0, 100), 270_000 * dvs(0, 0, 1, 10_000),
+            column_reads(1, signal, 0, 20_000_000)]
+    (tmp_path / "x.aedat").write_bytes(HEADER + b"".join(data))
+    with open_recording(tmp_path / "x.aedat") as recording:
+        for _ in range(2):      # the first reading makes marks
+            [frame] = [frame for packet in recording.packets(15_000_000)
+                       for frame in packet.frames]
+            assert frame.valid.sum() == HEIGHT
+            recording.scan()

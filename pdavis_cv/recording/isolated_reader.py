@@ -29,10 +29,7 @@ _HERE = Path(__file__).resolve().parents[2]
 
 def _answers(recording: Recording, memory: wire.Shared | None, start_us: int | None,
              stop_us: int | None) -> Iterator[list[Batch] | Exception]:
-    """Yield samples that are worth an answer; at last none, or what reading raised.
-
-    Events are decoded to the memory, or elsewhere.
-    """
+    """Yield samples that are worth an answer; at last none, or what reading raised."""
     end = END_OF_TIME if stop_us is None else cell_start(stop_us) + MAX_PACKET_US
     rest: Iterator[Batch] = (
         recording.batches(start_us, memory or Scratch())

@@ -269,6 +269,12 @@ class Marks:
             self._newest.append(newest_us)
             self._states.append(copy.deepcopy(state))
 
+    def cover(self, start_us: int, stop_us: int) -> None:
+        """Let marks inside an interval be of use for later times only."""
+        with self._lock:
+            self._newest = [stop_us if start_us <= t < stop_us else t
+                            for t in self._newest]
+
     def before(self, t_us: int) -> Any:
         """Return a copy of the state of the last mark with no later sample before it.
 

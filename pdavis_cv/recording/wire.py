@@ -41,10 +41,7 @@ ROOM = 32 << 20
 
 
 class Shared(Scratch):
-    """Shared memory, in two parts of which events are decoded in turns.
-
-    The other process reads one while the other is filled.
-    """
+    """Shared memory; of two parts for events one is read while one is filled."""
 
     def __init__(self, memory: mmap.mmap) -> None:
         super().__init__()
@@ -76,15 +73,10 @@ class Shared(Scratch):
 
 
 def written(value: Any, shared: Shared) -> bytes:
-    """Return a value as text, whose arrays lie in shared memory.
+    """Return a value as text, whose arrays lie in shared memory, or MemoryError.
 
     Anything else than numbers, texts, arrays, sequences, mappings and the objects of
     recordings is written as its text.  Arrays that were copied there before are lost.
-
-    Raises
-    ------
-    MemoryError
-        If the arrays do not fit.
     """
     end = 0
 

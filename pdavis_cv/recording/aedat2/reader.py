@@ -137,8 +137,13 @@ class Aedat2Recording(PiecewiseRecording):
                 cell_start(start_us) - WARM_UP_US)) is not None:
             mark, quiet = found, cell_start(start_us)
         decoder = self._decoder(mark, quiet)
+        ended = decoder.clock.last
         for batch in decoder.batches(memory, frames=frames):
             self._marks.note(decoder.chunk, decoder.clock.last, decoder.mark)
+            for frame in batch.frames:
+                before, ended = ended, frame.available_us
+                if ended - np.min(frame.exposure_start_us) > WARM_UP_US:
+                    self._marks.cover(before, ended)    # time jumped inside the frame
             yield batch, min(decoder.chunk * CHUNK_WORDS / max(self.word_count, 1), 1.0)
         decoder.check_end()
 
