@@ -465,6 +465,14 @@ def test_a_slow_start_spoils_no_thresholds():
     assert np.mean(error < image.sigma_dolp[0, ::16]) > 0.55
 
 
+def test_a_stream_learns_after_its_first_pulses():
+    """Until the second one the speed is not known, and sums of rows are wrong."""
+    scene = Still(24, seconds=2.5, degree=(0.35, 0.95), step=2e-4)
+    image, _ = last_image(as_recording(scene, 50_000 * np.arange(51)), scene,
+                          causal=True, analyser=TurningAnalyser(triggers=1))
+    assert rms(image.dolp[0, ::16] - scene.dolp) < 0.02
+
+
 def test_fuse_finds_the_speed_up_to_the_zero(few):
     image, angle = last_image(as_recording(few), few, analyser=TurningAnalyser())
     zero = np.angle(np.exp(2j * angle).mean()) / 2

@@ -39,6 +39,7 @@ _LATE = 0.5, 1.0
 """Part of the drift of q over the rows' mean age that is its error, centred and not."""
 _LEAST_LEARNT = 8.0     # rows of a pixel whose thresholds are learned
 _STILL = 0.08           # most error of a row where only the analyser turns
+_SPOILT = 64            # rows after which one where it is more begins anew
 _STRONG = 0.3           # degree at which the curve's shape tells thresholds
 _LONGEST_STEP = 0.2     # of ln threshold at once
 _AGAIN = 5              # most estimates at one time, until their mean stays
@@ -140,7 +141,7 @@ class TurningRegression:
             plane[:], self._cells[name] = np.log(theta), np.exp(theta / 2)
         # ln of the mean threshold, ON and OFF.
         self._mean = self._log_theta.mean((1, 2), np.float64)
-        self.common_sigma, self._counts = self._sigma, [0, 0]
+        self.common_sigma, self._counts = self._sigma, np.zeros(2, np.int64)
         self._start: int | None = None
         self._looks = 0
         self._dc = np.zeros(self.shape, np.float32)
@@ -183,8 +184,7 @@ class TurningRegression:
             events, self._clock.last_us, self._cells, self._lasting, self._seen,
             self.segments, self._tau, 1 / self._half_turns)
         risen = int(np.count_nonzero(events["p"][:taken]))
-        self._counts[0] += risen
-        self._counts[1] += taken - risen
+        self._counts += risen, taken - risen
         self._clock.took(events, taken)
 
     @property
@@ -251,9 +251,8 @@ class TurningRegression:
         q1 = (now.quad[0] - now.quad[2]) / s0
         q2 = (now.quad[1] - now.quad[3]) / s0
         light = 1 + seen * (q1 * math.cos(angle) + q2 * math.sin(angle))
-        level = log + math.log(2) - np.log(np.maximum(light, 0.02))
-        rest = np.log(s0) - self._dc
-        np.copyto(self._dc, (level - rest).astype(np.float32), where=valid)
+        level = log + math.log(2) - np.log(np.maximum(light, 0.02)) - np.log(s0)
+        np.copyto(self._dc, (level + self._dc).astype(np.float32), where=valid)
 
     # ---- reading -------------------------------------------------------------
 
@@ -335,6 +334,7 @@ def _learned(
     lasting["m2"] += (add * h).sum(0)
     lasting["zz"] += (2 * add * y + add * add * n).sum(0)
     lasting["y1"], lasting["y0"] = y + add * n
+    lasting.view(np.float32).reshape(-1, 16)[~still & (n.sum(0) > _SPOILT), 2:] = 0
     return log_theta + step, scale, still.astype(np.uint8) + strong
 
 
