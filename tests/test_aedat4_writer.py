@@ -9,6 +9,7 @@ import pdavis_cv
 from pdavis_cv import (
     Aedat4Writer,
     ApsFrame,
+    DamagedFileWarning,
     Layout,
     LayoutError,
     Packet,
@@ -216,3 +217,25 @@ def test_a_full_scale_that_no_frame_has_is_left_out(tmp_path):
     path.write_bytes(whole[:stated] + b">0000<" + whole[stated + 6:])
     with open_recording(path) as recording:
         assert len(joined(recording.packets())[1]) == 3
+
+
+def test_packets_that_moved_are_found_at_each_reading(tmp_path):
+    path = tmp_path / "x.aedat4"
+    events = random_events(90, SIZE, seed=2, start_us=0, stop_us=90_000)
+    write_aedat4(path, recording_from_arrays(events, sensor_size=SIZE),
+                 compression="none")
+    with open_recording(path) as recording:
+        _, one, *_, two, _, three = (
+            entry.offset - 8 for entry in recording._streams["EVTS"].entries)
+    data = path.read_bytes()    # one part moves back, the next one forth
+    path.write_bytes(data[:one - 12] + data[one:two] + bytes(12 + 7)
+                     + data[two:three - 7] + data[three:])
+    with open_recording(path) as recording:
+        with pytest.warns(DamagedFileWarning):
+            whole = joined(recording.packets())
+        problems = recording.problems
+        for _ in range(2):
+            assert_same(joined(recording.packets()), whole)
+            np.testing.assert_array_equal(recording.events(), whole[0])
+        assert recording.problems == problems
+    assert len(whole[0]) > 50

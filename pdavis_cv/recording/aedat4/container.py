@@ -84,7 +84,7 @@ class Aedat4File:
         self.budget = budget or Budget(reader.path)
         # Of packets that are not where the index says.
         self._shift = self._sought = 0
-        self._nowhere: set[int] = set()
+        self._found: dict[int, int | None] = {}
         self._read_header()
         self.indexed, self.index = False, dict[int, NDArray[np.int64]]()
         self.indexed = self._read_index()
@@ -288,20 +288,22 @@ class Aedat4File:
                 self.log.damage(
                     wanted, f"byte {wanted}: the packet that the index places here is "
                     f"at byte {at}", offset=wanted)
-                self._shift = at - wanted
+                self._shift, self._found[wanted] = at - wanted, at
                 return table
-        self._nowhere.add(wanted)
+        self._found.setdefault(wanted, None)
         raise PayloadError("its header is not what the index says")
 
     def _places(self, entry: Entry, wanted: int) -> Iterator[int]:
-        """Yield where a packet may be: as far away as the last, or where it is found.
+        """Yield where a packet may be: where it was, as far away as the last, or near.
 
         Once too much has been searched, what has not moved alike is given up.
         """
+        if (known := self._found.get(wanted)) is not None:
+            yield known
         header = _PACKET.pack(entry.stream, entry.size)
         if self.reader.read(wanted + self._shift, _PACKET.size) == header:
             yield wanted + self._shift
-        if wanted in self._nowhere or self._sought > (
+        if wanted in self._found or self._sought > _NEAR + (
                 self.budget.limits.work_per_byte * self.reader.size):
             return
         begin = max(self.data_start, wanted - _NEAR)
