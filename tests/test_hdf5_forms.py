@@ -151,8 +151,10 @@ def test_frames_without_as_many_times_are_said(path, count):
             file["frame_ts"] = np.arange(count) * 1000
     with open_recording(path) as recording:
         assert sum(len(packet.frames) for packet in recording.packets()) == count
-        assert any(f"5 frames have {count} times" in p.message
-                   for p in recording.problems)
+        problems = recording.problems
+        assert any(f"5 frames have {count} times" in p.message for p in problems)
+        recording.scan()
+        assert recording.problems == problems
 
 
 @pytest.mark.parametrize("offset", [2**62, -2**62, 1e300, np.inf, np.nan])

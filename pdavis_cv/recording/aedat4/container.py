@@ -306,7 +306,7 @@ class Aedat4File:
         if wanted in self._found or self._sought > _NEAR + (
                 self.budget.limits.work_per_byte * self.reader.size):
             return
-        begin = max(self.data_start, wanted - _NEAR)
+        begin = max(0, wanted - _NEAR)      # the header may have lost bytes
         block = self.reader.read(begin, wanted - begin + _NEAR + entry.size)
         self._sought += len(block)
         found = [begin + i for i in _find_all(block, header)]

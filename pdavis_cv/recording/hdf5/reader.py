@@ -422,7 +422,7 @@ class Hdf5Recording(PiecewiseRecording):
             self._damage("frame_ts", "the times of all frames", error)
             return []
         if len(mids) != len(self._frames):
-            self._log.add("frame_ts", None, f"{len(self._frames)} frames have "
+            self._log.add("frame_ts", 0, f"{len(self._frames)} frames have "
                           f"{len(mids)} times: only so many of both are read")
         found: list[_Place] = []
         last = last_mid = NEVER
