@@ -252,3 +252,11 @@ def test_times_that_may_be_those_of_a_computer_in_ms_are_said(tmp_path, first, s
     with open_recording(tmp_path / "x.csv") as recording:
         assert all(p.kind != "time unit" for p in recording.problems)
         assert recording.info.header["time_unit"] == "ms"
+
+
+def test_a_shape_that_is_no_shape_is_an_error_of_the_file(tmp_path):
+    np.save(tmp_path / "x.npy", np.zeros((100, 4)))
+    data = (tmp_path / "x.npy").read_bytes()
+    (tmp_path / "x.npy").write_bytes(data.replace(b"(100, 4)", b"(1 0, 4)"))
+    with pytest.raises(RecordingError):
+        open_recording(tmp_path / "x.npy")

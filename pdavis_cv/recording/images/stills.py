@@ -44,7 +44,7 @@ _MOST_SCANS = 100
 def is_image_array(start: bytes) -> bool:
     """Return whether a file is an array of images, from its first bytes."""
     found = _SHAPE.match(start)
-    sides = [] if found is None else [int(n) for n in found[1].split(b",") if n.strip()]
+    sides = [] if found is None else [*map(int, re.findall(rb"\d+", found[1]))]
     return len(sides) > 2 or (len(sides) == 2 and sides[1] >= _FEWEST_COLUMNS)
 
 
