@@ -22,8 +22,6 @@ cdef extern from "_prefetch.h" nogil:
 
 cdef enum:
     HOP = 8                     # pixels of the list between prefetches
-    STEPS = 8                   # of a known gap, between which a pixel is linear,
-    LEAST_STEP = 2_000          # us: if they are as long as this
     OPEN_BEFORE = 16            # flags of shown_t.state: all of the exposure before, or
     OPEN_AFTER = 32             # after, lies in the silence since the last event
 
@@ -318,9 +316,9 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
     around receives what the counts of each weigh, less that at the frame before, by way
     of courses; None: nothing is weighed.
 
-    A pixel is linear between times since its last event that grow by `KNOT`, or between
-    STEPS of a gap whose end is known, and what its counts weigh is as at the first of
-    them: an image does not depend on which others are asked for.
+    In a silence a pixel is linear between times since its last event that grow by
+    `KNOT`, and what its counts weigh is as at the first of them: an image does not
+    depend on which others are asked for.
     """
     cdef const camera_t* c = camera_of(camera)
     cdef frames_t f
@@ -371,13 +369,16 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
 
 cdef inline node_t* later_of(const pixel_t* p, const stored_t* store, Py_ssize_t at,
                              Py_ssize_t x, int64_t known, const frames_t* f,
-                             const camera_t* c, bint* changed) noexcept nogil:
-    """The frame after.  A silence since an event between t and its end, which was open
-    there, is looked at again when it has ended, and as it grows by 1/16 to 1/8."""
+                             const camera_t* c, bint* changed,
+                             int64_t* until) noexcept nogil:
+    """The frame after, and up to when it is so known.  A silence since an event between
+    t and its end, which was open there, is looked at again when it has ended, and as it
+    grows by 1/16 to 1/8."""
     cdef node_t* node = f.ended.nodes + at
     cdef int64_t since = open_since((f.later.nodes + at).open_t, p)
     cdef int32_t k = p.next
     cdef int shift = 0
+    until[0] = NEVER
     if since == NEVER or since == p.at.t and p.at.t <= f.later.begin[x]:
         return f.later.nodes + at
     while k >= 0 and store[k].t <= since:
@@ -385,10 +386,12 @@ cdef inline node_t* later_of(const pixel_t* p, const stored_t* store, Py_ssize_t
     if k >= 0 and store[k].t <= known:
         known = store[k].t
     else:
+        until[0] = store[k].t if k >= 0 else NEVER
         known = max(known - since, 0)
         while known >> shift >= 16:     # images do not depend on which others are read
             shift += 1
         known = since + (known >> shift << shift)
+        until[0] = min(until[0], known + (<int64_t>1 << shift))
     if f.fresh or node.around_t != known:
         node_of(p, store, &f.ended, at, x, known, c, f.lamp)
         node.around_t = known
@@ -404,10 +407,10 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
     """Write a pixel's planes; return up to when they hold it."""
     cdef Py_ssize_t size = f.size, x = <uint32_t>at % <uint32_t>f.w
     cdef node_t* node = f.before.nodes + at
-    cdef int64_t t0 = t, t1 = t, until = 0
+    cdef int64_t t0 = t, t1 = t, until = 0, open_until = NEVER
     cdef double[3] out
     cdef double j0, v0, j1, v1, since, knot, rate
-    cdef bint rests = False, smooth = False, open_ = False
+    cdef bint rests = False, smooth = False
     cdef silence_t silence
     cdef ends_t ends
     cdef double[2] still = [0.0, 0.0]
@@ -424,18 +427,12 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
                 knot *= KNOT
         rests = s.sign == 0 or (t - s.last > lags.oldest and max(
             knot + 1e-6 * <double>f.ahead, <double>s.before) >= RESTS * c.rest)
-        open_ = smooth = not rests and since > SMOOTH_FROM
-        if open_:
+        smooth = not rests and since > SMOOTH_FROM
+        if smooth:
             t0 = s.last + <int64_t>(1e6 * knot)
             t1 = s.last + <int64_t>(1e6 * knot * KNOT)
-    else:
-        until = (s.next - s.last) // STEPS if s.sign else LEAST_STEP
-        smooth = until >= LEAST_STEP
-        if smooth:
-            t1 = t - (t - s.last) % until + until
-            t0 = max(t1 - until, s.next - f.ahead)
     if f.back != NULL:
-        later = later_of(p, store, at, x, t0 + f.ahead, f, c, &changed)
+        later = later_of(p, store, at, x, known, f, c, &changed, &open_until)
     if changed or f.fresh:
         if p.at.run > 0 and p.at.t > open_since(node.open_t, p):
             # Its end is known now.
@@ -455,11 +452,11 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
             plane + BENDS * size + at)
     else:
         until = t1 if smooth else 0
-        estimate(s, t0, t0 + f.ahead, open_, x, f, c, &j0, &v0)
+        estimate(s, t0, t0 + f.ahead, smooth, x, f, c, &j0, &v0)
         plane[SLOPE * size + at] = plane[GROWS * size + at] = 0.0
         plane[BENDS * size + at] = 0.0
         if smooth:
-            estimate(s, t1, t1 + f.ahead, open_, x, f, c, &j1, &v1)
+            estimate(s, t1, t1 + f.ahead, smooth, x, f, c, &j1, &v1)
             since = 1e-6 * <double>(f.epoch - t0)
             rate = (j1 - j0) / (1e-6 * <double>(t1 - t0))
             plane[SLOPE * size + at] = <float>rate
@@ -469,8 +466,9 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
             v0 += since * rate
         plane[LEVEL * size + at] = <float>j0
         plane[VARIANCE * size + at] = <float>v0
-    if s.next - f.ahead > t:
-        until = min(until, s.next - f.ahead)    # then it is known
+    if s.next > known:
+        open_until = min(open_until, s.next)
+    until = min(until, open_until - f.ahead)    # then more is known
     if around != NULL:
         if s.state & HOT:
             course.until = 0

@@ -9,7 +9,6 @@ import numpy as np
 SAMPLES, SHORT_US, GATE, LEARN_EVENTS = 7, 1500, 16.0, 3
 RESTS, TURN, EARLIEST_TURN = 2.5, 0.268, 3 - 2 * math.sqrt(2)
 SMOOTH_FROM_S, KNOT = 0.02, 1.2
-STEPS, LEAST_STEP_US, NEVER = 8, 2_000, 1 << 62
 CLAIM, SHOWN, HOT, MORE, LESS, HOT_MEMORY = 0.5, 0.25, 6.91, 4.5, 2.29, 8.0
 
 
@@ -379,7 +378,7 @@ class Filter:
             if after is not None and after["at_end"] is not None:
                 begin, end = self.exposure(f, at)
                 if p.last(after["at_end"]) > p.last(t) or after["at_end"] > begin:
-                    known = self.known_of(p, after["at_end"], t0 + self.ahead)
+                    known = self.known_of(p, after["at_end"], seen)
                     after = {**p.node(begin, end, self.sample(f, at)[0], known,
                                       self.about[id(f)][at]), "around": after["around"]}
             out[(slice(None), *at)] = self.at(
@@ -439,20 +438,10 @@ class Filter:
         return b, v
 
     def knots(self, t, p):
-        """Times around t, of a long silence or gap, between which a pixel is linear.
-
-        Those of a silence grow by KNOT, and those of a gap are STEPS of it.
-        """
+        """Times around t, in a long silence, between which a pixel is linear."""
         k, ahead = p.last(t), self.ahead
         since = 1e-6 * (t - p.t[k]) if k >= 0 else 0.0
-        if p.last(t + ahead) > k:
-            following = p.t[k + 1]
-            last = p.t[k] if k >= 0 else -NEVER
-            step = (following - last) // STEPS if k >= 0 else LEAST_STEP_US
-            if step >= LEAST_STEP_US:
-                t0 = t - (t - last) % step
-                return max(t0, following - ahead), min(t0 + step, following - 1)
-        elif k >= 0 and since > SMOOTH_FROM_S and not (
+        if p.last(t + ahead) == k >= 0 and since > SMOOTH_FROM_S and not (
                 t - p.t[k] > 40_000 and goes_on(
                     max(since + 1e-6 * ahead, p.before[k]), self.m) <= 0):
             knot = SMOOTH_FROM_S
