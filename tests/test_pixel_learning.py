@@ -16,7 +16,7 @@ from pdavis_cv.pixel.frame_noise import learned_frame_noise
 from pdavis_cv.pixel.learn import LearnedPixels, Priors, learn
 from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.pixel.sample import PAST_DTYPE, PixelSample
-from pdavis_cv.simulation import Camera, FlatLight, RotatingPolarizer
+from pdavis_cv.simulation import Camera, FlatLight, RotatingPlate, RotatingPolarizer
 
 pytestmark = pytest.mark.accuracy
 
@@ -24,10 +24,11 @@ SIZE = (8, 8)
 TOLD = Priors(theta=(0.2, 0.2))
 
 
-def sampled(camera, rpm, dolp, seconds=2.0, frames=None):
-    """Return a sample of a recording of a rotating polarizer."""
-    recording, _ = camera.record(RotatingPolarizer(rpm=rpm, dolp=dolp), seconds)
-    sample = PixelSample(SIZE)
+def sampled(camera, rpm, dolp, seconds=2.0, frames=None, light=None):
+    """Return a sample of a recording of a rotating polarizer, or of other light."""
+    recording, _ = camera.record(
+        light or RotatingPolarizer(rpm=rpm, dolp=dolp), seconds)
+    sample = PixelSample(recording.info.sensor_size)
     taken = 0
     for packet in recording.packets():
         if len(packet.events):
@@ -70,6 +71,14 @@ def test_light_that_passes_in_the_dead_time_is_counted():
     error = errors_of(images, truth)
     assert error.dolp < 0.05
     assert error.aop < 1.3
+
+
+def test_a_black_level_of_less_than_four_of_its_errors_is_none():
+    # Here 3 DN/ms, 3.6 errors, lower -2 ln L by more than 25.
+    light = RotatingPlate(rpm=202.6, s0=10, start_angle=0.4) + FlatLight(s0=10)
+    camera = Camera.preset("typical", seed=1003, size=(12, 12))
+    sample = sampled(camera, 0, 0, seconds=2.2, light=light)
+    assert learn(sample, TOLD, 50_000).model.black == 0
 
 
 def test_a_black_level_is_found_where_there_is_one():

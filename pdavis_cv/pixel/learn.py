@@ -46,10 +46,11 @@ BETTER_REST = 0.02
 LAG_OF_GAP = 0.035
 """Standard deviation of the lag of interpolated counts, in mean gaps between events."""
 
-EVIDENCE, EVIDENCE_OF_BLACK, LOSS_OF_BLACK = 4.0, 25.0, 3.0
+EVIDENCE, EVIDENCE_OF_BLACK, LOSS_OF_BLACK, ERRORS_OF_BLACK = 4.0, 25.0, 3.0, 4.0
 """Fall of -2 ln posterior for which a number is taken that was not told: two standard
-errors; and five for a black level, which must also lower the loss of pairs by three: it
-makes up for much that is not modelled (2 to 3 DN/ms were found where none was)."""
+errors; and five for a black level, which must also lower the loss of pairs by three and
+be worth four of its own: it makes up for much that is not modelled (2 to 3 DN/ms were
+found where none was, of 3.1 to 3.6 errors; true ones had 5 and more)."""
 
 MOST_LACKING = 1.7
 """A choice: usual lags that pixels without any lack at most, as the fit sees them."""
@@ -338,7 +339,10 @@ def _fitted(
         clearly = gain.sum() > enough * LOSS_OF_BLACK * np.sqrt(len(gain)) * gain.std()
         usual = other.model.black * ms > LEAST_BLACK
         if usual and clearly and other.cost < best.cost - enough * EVIDENCE_OF_BLACK:
-            best = other
+            # With all numbers free: a small contrast does not tell it from them.
+            sigma = _descended(data, pairs, priors, other, numbers, 1).sigmas["black"]
+            if black or other.model.black > ERRORS_OF_BLACK * sigma:
+                best = other
     other = tried(_with(best, rest_s=RESTS_S[1]), (), 2)
     if other.per_row < best.per_row - BETTER_REST:
         best = other
