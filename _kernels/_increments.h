@@ -39,8 +39,8 @@
 #define PD_UNKNOWN 1e3          /* variance of a pixel without a sample */
 #define PD_DOUBTFUL 9.0         /* squared sigmas: pixels contradict events */
 /* s since an event, and growth, of the times between which a silence is linear. */
-#define PD_SMOOTH_FROM 0.02
-#define PD_KNOT 1.2
+#define PD_SMOOTH_FROM 0.045
+#define PD_KNOT 1.1
 
 /* A camera as the kernels take it; the fields of `PixelModel.numbers`, all doubles. */
 typedef struct {
