@@ -25,25 +25,22 @@ cdef enum:
     OPEN_BEFORE = 16            # flags of shown_t.state: all of the exposure before, or
     OPEN_AFTER = 32             # after, lies in the silence since the last event
 
-cdef struct frames_t:
-    # The frames before and after a read, and the epoch of the planes.
-    frame_t before, later
-    frame_t ended               # later, with nodes as of silences by now (`later_of`)
-    const anchor_t* anchors
-    const float* back           # NULL: no frame after
-    const double* middle        # of both by column
-    const lamp_t* lamp
-    Py_ssize_t w, size
-    int64_t epoch, ahead
-    bint alone                  # the frame after has none after it
-    double[3] theta_cov         # of the thresholds' relative errors
-    bint fresh                  # the frames, or their estimates, are others
-
-
-cdef inline void show_events(const pixel_t* p, const stored_t* store,
-                             const camera_t* c, shown_t* s) noexcept nogil:
+cdef inline void show_one(const pixel_t* p, const stored_t* store, const node_t* node,
+                          const anchor_t* a, const node_t* later, float said,
+                          double b, double v, const double* cov, const camera_t* c,
+                          const int64_t* begins, const lamp_t* lamp,
+                          shown_t* s) noexcept nogil:
     cdef const stored_t* e = &p.at
+    cdef double each, y, rate
+    cdef bint hot = a.hot > PRIOR_ODDS
+    cdef int k
+    s.state = HOT if hot else 0
     s.last = e.t if e.run > 0 else -NEVER
+    if e.run > 0 and not hot:
+        if open_since(node.open_t, p) == e.t <= begins[0]:
+            s.state |= OPEN_BEFORE
+        if open_since(later.open_t, p) == e.t <= begins[1]:
+            s.state |= OPEN_AFTER
     s.sign = e.sign if e.run > 0 else 0
     s.context = e.context
     s.before = e.before
@@ -52,27 +49,7 @@ cdef inline void show_events(const pixel_t* p, const stored_t* store,
         s.next = store[p.next].t
         s.next_sign = store[p.next].sign
         s.next_weight = <float>weight(&store[p.next], c)
-
-
-cdef inline void show_one(const pixel_t* p, Py_ssize_t at, Py_ssize_t x,
-                          const node_t* node, const node_t* later, const frames_t* f,
-                          const camera_t* c, shown_t* s) noexcept nogil:
-    """What a pixel's frames say, beside its events (`show_events`)."""
-    cdef const stored_t* e = &p.at
-    cdef const anchor_t* a = f.anchors + at
-    cdef const lamp_t* lamp = f.lamp
-    cdef double each, y, rate, v = -1.0 if f.back == NULL else f.back[f.size + at]
-    cdef bint hot = a.hot > PRIOR_ODDS
-    cdef int k
-    s.state = HOT if hot else 0
-    if e.run > 0 and not hot:
-        if open_since(node.open_t, p) == e.t <= f.before.begin[x]:
-            s.state |= OPEN_BEFORE
-        if f.back != NULL and (
-                open_since(later.open_t, p) == e.t <= f.later.begin[x]):
-            s.state |= OPEN_AFTER
-    s.corner = <float>corner_of(
-        a.log if a.sampled > 0.0 or f.back == NULL else f.back[at], c)
+    s.corner = <float>corner_of(a.log if a.sampled > 0.0 else b, c)
     y = e.light[0] + e.light[1]
     s.drift = 0.0
     if lamp.blocks > 0:
@@ -89,8 +66,8 @@ cdef inline void show_one(const pixel_t* p, Py_ssize_t at, Py_ssize_t x,
     s.p_behind = -1.0
     s.opened = node.open_variance if node.open_t == s.last else 0.0
     s.p[0], s.p[1], s.p[2] = a.p[0], a.p[1], a.p[2]
-    for k in range(3):
-        s.gains[k] = a.p[3 + k] + <float>f.theta_cov[k]
+    s.gains[0], s.gains[1] = a.p[3] + <float>cov[0], a.p[4] + <float>cov[1]
+    s.gains[2] = a.p[5] + <float>cov[2]
     for k in range(2):
         s.since[k] = 0.0 if hot else <float>(e.light[k] - node.light[k])
         s.until[k] = 0.0 if hot else <float>(later.light[k] - e.light[k])
@@ -104,13 +81,28 @@ cdef inline void show_one(const pixel_t* p, Py_ssize_t at, Py_ssize_t x,
                 y - node.mean + s.since[0] * a.gain[0] + s.since[1] * a.gain[1])
     if v > 0.0:
         s.state |= AFTER
-        s.behind = f.back[at] - f.later.said[at]
+        s.behind = <float>b - said
         s.p_behind = <float>v
         if hot:
             s.p_behind += a.motion
         else:
             s.behind -= <float>(
                 later.mean - y + s.until[0] * a.gain[0] + s.until[1] * a.gain[1])
+
+
+cdef struct frames_t:
+    # The frames before and after a read, and the epoch of the planes.
+    frame_t before, later
+    frame_t ended               # later, with nodes as of silences by now (`later_of`)
+    const anchor_t* anchors
+    const float* back           # NULL: no frame after
+    const double* middle        # of both by column
+    const lamp_t* lamp
+    Py_ssize_t w, size
+    int64_t epoch, ahead
+    bint alone                  # the frame after has none after it
+    double[3] theta_cov         # of the thresholds' relative errors
+    bint fresh                  # the frames, or their estimates, are others
 
 
 cdef inline int frames_of(tuple frames, Py_ssize_t h, Py_ssize_t w,
@@ -206,10 +198,11 @@ cdef inline ends_t ends_of(const shown_t* s, const frames_t* f, Py_ssize_t x,
 
 cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_,
                           Py_ssize_t x, const frames_t* f, const camera_t* c,
-                          double* log, double* variance) noexcept nogil:
-    """ln(I + black) at t without what other times and pixels say, and its variance."""
+                          double* log, double* variance,
+                          silence_t* silence) noexcept nogil:
+    """ln(I + black) at t without what other times and pixels say, its variance, and the
+    silence that is open at t."""
     cdef around_t a
-    cdef silence_t silence
     cdef ends_t ends
     cdef double[2] rise = [0.0, 0.0], bend = [0.0, 0.0]
     cdef int k
@@ -232,16 +225,16 @@ cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_
         if a.gap > 0.0:
             course_of(&a, c, rise, bend)
         else:
-            silence = silence_of(&a, c)
+            silence[0] = silence_of(&a, c)
             u = 0.25 * (c.theta[0] + c.theta[1]) * (c.theta[0] + c.theta[1])
-            now = u * silent_variance(&silence, a.since)
+            now = u * silent_variance(silence, a.since)
             then = u * s.opened
             if s.state & OPEN_BEFORE:
                 then = u * silent_variance(
-                    &silence, 1e-6 * (f.middle[x] - <double>s.last))
+                    silence, 1e-6 * (f.middle[x] - <double>s.last))
             if s.state & AFTER:
                 next_ = u * silent_variance(
-                    &silence, 1e-6 * (f.middle[f.w + x] - <double>s.last))
+                    silence, 1e-6 * (f.middle[f.w + x] - <double>s.last))
             if not a.flickers:
                 rise[a.sign > 0], bend[a.sign > 0] = silence.rise, silence.bend
         for k in range(2):
@@ -316,9 +309,9 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
     around receives what the counts of each weigh, less that at the frame before, by way
     of courses; None: nothing is weighed.
 
-    In a silence a pixel is linear between times since its last event that grow by
-    `KNOT`, and what its counts weigh is as at the first of them: an image does not
-    depend on which others are asked for.
+    Between events, and farther than all lags from them, a pixel's value is interpolated
+    between times since the event that grow by `KNOT`: an image does not depend on which
+    others are asked for.
     """
     cdef const camera_t* c = camera_of(camera)
     cdef frames_t f
@@ -369,16 +362,13 @@ def increments_move(pixel_t[:, ::1] pixels not None, const stored_t[::1] store n
 
 cdef inline node_t* later_of(const pixel_t* p, const stored_t* store, Py_ssize_t at,
                              Py_ssize_t x, int64_t known, const frames_t* f,
-                             const camera_t* c, bint* changed,
-                             int64_t* until) noexcept nogil:
-    """The frame after, and up to when it is so known.  A silence since an event between
-    t and its end, which was open there, is looked at again when it has ended, and as it
-    grows by 1/16 to 1/8."""
+                             const camera_t* c, bint* changed) noexcept nogil:
+    """The frame after.  A silence since an event between t and its end, which was open
+    there, is looked at again when it has ended, and as it grows by 1/16 to 1/8."""
     cdef node_t* node = f.ended.nodes + at
     cdef int64_t since = open_since((f.later.nodes + at).open_t, p)
     cdef int32_t k = p.next
     cdef int shift = 0
-    until[0] = NEVER
     if since == NEVER or since == p.at.t and p.at.t <= f.later.begin[x]:
         return f.later.nodes + at
     while k >= 0 and store[k].t <= since:
@@ -386,12 +376,10 @@ cdef inline node_t* later_of(const pixel_t* p, const stored_t* store, Py_ssize_t
     if k >= 0 and store[k].t <= known:
         known = store[k].t
     else:
-        until[0] = store[k].t if k >= 0 else NEVER
         known = max(known - since, 0)
         while known >> shift >= 16:     # images do not depend on which others are read
             shift += 1
         known = since + (known >> shift << shift)
-        until[0] = min(until[0], known + (<int64_t>1 << shift))
     if f.fresh or node.around_t != known:
         node_of(p, store, &f.ended, at, x, known, c, f.lamp)
         node.around_t = known
@@ -407,32 +395,18 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
     """Write a pixel's planes; return up to when they hold it."""
     cdef Py_ssize_t size = f.size, x = <uint32_t>at % <uint32_t>f.w
     cdef node_t* node = f.before.nodes + at
-    cdef int64_t t0 = t, t1 = t, until = 0, open_until = NEVER
+    cdef int64_t t0 = t, t1 = t, until = 0
     cdef double[3] out
     cdef double j0, v0, j1, v1, since, knot, rate
     cdef bint rests = False, smooth = False
-    cdef silence_t silence
+    cdef silence_t silence, other
     cdef ends_t ends
     cdef double[2] still = [0.0, 0.0]
+    cdef int64_t[2] begins = [f.before.begin[x], -NEVER]
     cdef int k
     cdef node_t* later = node
-    if changed or f.fresh:
-        show_events(p, store, c, s)
-    knot = since = 1e-6 * <double>(t - s.last)
-    if s.next > known:
-        # By the knot, not by t: whatever was read before, the same segment is shown.
-        if since > SMOOTH_FROM:
-            knot = SMOOTH_FROM
-            while knot * KNOT <= min(since, RESTS * KNOT * c.rest):
-                knot *= KNOT
-        rests = s.sign == 0 or (t - s.last > lags.oldest and max(
-            knot + 1e-6 * <double>f.ahead, <double>s.before) >= RESTS * c.rest)
-        smooth = not rests and since > SMOOTH_FROM
-        if smooth:
-            t0 = s.last + <int64_t>(1e6 * knot)
-            t1 = s.last + <int64_t>(1e6 * knot * KNOT)
     if f.back != NULL:
-        later = later_of(p, store, at, x, known, f, c, &changed, &open_until)
+        later = later_of(p, store, at, x, known, f, c, &changed)
     if changed or f.fresh:
         if p.at.run > 0 and p.at.t > open_since(node.open_t, p):
             # Its end is known now.
@@ -440,7 +414,25 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
         if (around != NULL and f.ahead == 0 and p.at.run > 0
                 and p.at.t > open_since(node.around_t, p)):
             around_of(p, store, &f.before, at, x, p.at.t, lags, c)
-        show_one(p, at, x, node, later, f, c, s)
+        if f.back != NULL:
+            begins[1] = f.later.begin[x]
+            show_one(p, store, node, f.anchors + at, later, f.later.said[at],
+                     f.back[at], f.back[size + at], f.theta_cov, c, begins, f.lamp, s)
+        else:
+            show_one(p, store, node, f.anchors + at, node, 0.0, 0.0, -1.0,
+                     f.theta_cov, c, begins, f.lamp, s)
+    silence.rise = silence.bend = 0.0
+    knot = since = 1e-6 * <double>(t - s.last)
+    if s.next > known:
+        # By the knot, not by t: whatever was read before, the same segment is shown.
+        rests = s.sign == 0 or stays(since / KNOT, s, f, c)
+        if not rests and since > SMOOTH_FROM:
+            knot = SMOOTH_FROM
+            while knot * KNOT <= since:
+                knot *= KNOT
+        rests = (rests or stays(knot, s, f, c)) and (
+            s.sign == 0 or t - s.last > lags.oldest)
+        smooth = not rests and since > SMOOTH_FROM
     if rests:
         until = NEVER
         ends = ends_of(s, f, x, still, still, 0.0, c)
@@ -451,12 +443,16 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
             plane + VARIANCE * size + at, plane + GROWS * size + at,
             plane + BENDS * size + at)
     else:
-        until = t1 if smooth else 0
-        estimate(s, t0, t0 + f.ahead, smooth, x, f, c, &j0, &v0)
+        if smooth:
+            t0 = s.last + <int64_t>(1e6 * knot)
+            t1 = s.last + <int64_t>(1e6 * knot * KNOT)
+            until = t1
+        estimate(s, t0, t0 + f.ahead if smooth else known, smooth, x, f, c, &j0,
+                 &v0, &silence)
         plane[SLOPE * size + at] = plane[GROWS * size + at] = 0.0
         plane[BENDS * size + at] = 0.0
         if smooth:
-            estimate(s, t1, t1 + f.ahead, smooth, x, f, c, &j1, &v1)
+            estimate(s, t1, t1 + f.ahead, smooth, x, f, c, &j1, &v1, &other)
             since = 1e-6 * <double>(f.epoch - t0)
             rate = (j1 - j0) / (1e-6 * <double>(t1 - t0))
             plane[SLOPE * size + at] = <float>rate
@@ -466,25 +462,31 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
             v0 += since * rate
         plane[LEVEL * size + at] = <float>j0
         plane[VARIANCE * size + at] = <float>v0
-    if s.next > known:
-        open_until = min(open_until, s.next)
-    until = min(until, open_until - f.ahead)    # then more is known
+    if s.next != NEVER:
+        until = min(until, s.next - f.ahead)    # then it is known
     if around != NULL:
         if s.state & HOT:
             course.until = 0
             for k in range(3):
                 around[k * size + at] = 0.0
         else:
-            if changed or t0 >= course.until:
-                weigh_counts(p, store, t0, f.ahead, lags, c, course)
-            silence = silence_in(course, t0 + f.ahead, c)
-            if rests:
-                silence.rise = silence.bend = 0.0
+            if changed or t >= course.until:
+                weigh_counts(p, store, t, f.ahead, lags, c, course)
+            if not smooth:
+                t0 = t
+            if s.next <= known:
+                silence = silence_in(course, known, c)
             say(course, t0, silence.rise, silence.bend, out)
             for k in range(3):
                 around[k * size + at] = <float>(
                     out[k] - f.before.around[k * size + at])
     return until
+
+
+cdef inline bint stays(double since, const shown_t* s, const frames_t* f,
+                       const camera_t* c) noexcept nogil:
+    """Whether light is still at a time since the last event."""
+    return max(since + 1e-6 * <double>f.ahead, <double>s.before) >= RESTS * c.rest
 
 
 def increments_image(const float[:, :, ::1] planes not None,

@@ -374,17 +374,18 @@ class Filter:
             b, v = self.back(later, looked, level, at)
             f = later[0] if later else None
             after = looked[0][at] if later else None
-            t0 = self.knots(t, p)[0]
             if after is not None and after["at_end"] is not None:
                 begin, end = self.exposure(f, at)
                 if p.last(after["at_end"]) > p.last(t) or after["at_end"] > begin:
                     known = self.known_of(p, after["at_end"], seen)
                     after = {**p.node(begin, end, self.sample(f, at)[0], known,
                                       self.about[id(f)][at]), "around": after["around"]}
-            out[(slice(None), *at)] = self.at(
+            *values, t_around = self.at(
                 t, p, level, node, anchor, b, v, f, after, at)
+            out[(slice(None), *at)] = values
             if not hot:
-                now[(slice(None), *at)] = p.around(t0, t0 + self.ahead, self.ahead)
+                now[(slice(None), *at)] = p.around(
+                    t_around, t_around + self.ahead, self.ahead)
                 if then is not None:
                     now[(slice(None), *at)] -= then[(slice(None), *at)]
         log, variance = out[0] + mean_around(now), out[1]
@@ -437,25 +438,26 @@ class Filter:
                     b, v = b + v / (v + r) * (z - b), v * r / (v + r)
         return b, v
 
-    def knots(self, t, p):
-        """Times around t, in a long silence, between which a pixel is linear."""
-        k, ahead = p.last(t), self.ahead
-        since = 1e-6 * (t - p.t[k]) if k >= 0 else 0.0
-        if p.last(t + ahead) == k >= 0 and since > SMOOTH_FROM_S and not (
-                t - p.t[k] > 40_000 and goes_on(
-                    max(since + 1e-6 * ahead, p.before[k]), self.m) <= 0):
-            knot = SMOOTH_FROM_S
-            while knot * KNOT <= since:
-                knot *= KNOT
-            return tuple(p.t[k] + int(1e6 * one) for one in (knot, knot * KNOT))
-        return t, t
+    def at(self, t, p, level, node, anchor, b, v, later, after, at):
+        """J and its variance at t, and the time at which other times are looked at.
 
-    def at(self, t, p, *about):
-        """J and its variance at t."""
-        t0, t1 = self.knots(t, p)
-        first, last = (np.array(self.exact(x, x + self.ahead, t, p, *about))
-                       for x in (t0, t1))
-        return first + (t - t0) / max(t1 - t0, 1) * (last - first)
+        A long silence is interpolated between times that grow by KNOT."""
+        m, ahead = self.m, self.ahead
+        k = p.last(t)
+        since = 1e-6 * (t - p.t[k]) if k >= 0 else 0.0
+        if k < 0 or p.last(t + ahead) > k or since <= SMOOTH_FROM_S or (
+                t - p.t[k] > 40_000 and goes_on(
+                    max(since + 1e-6 * ahead, p.before[k]), m) <= 0):
+            return *self.exact(t, t + ahead, t, p, level, node, anchor, b, v, later,
+                               after, at), t
+        knot = SMOOTH_FROM_S
+        while knot * KNOT <= since:
+            knot *= KNOT
+        t0, t1 = (p.t[k] + int(1e6 * one) for one in (knot, knot * KNOT))
+        ends = [np.array(self.exact(x, x + ahead, t, p, level, node, anchor, b, v,
+                                    later, after, at)) for x in (t0, t1)]
+        J, V = ends[0] + (t - t0) / (t1 - t0) * (ends[1] - ends[0])
+        return J, V, t0
 
     def exact(self, t, known, event_t, p, level, node, anchor, b, v, later, after, at):
         m, hot = self.m, level.hot > HOT
