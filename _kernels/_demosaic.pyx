@@ -120,10 +120,10 @@ def bilinear_weighted(const float[:, ::1] mosaic not None,
     """Interpolate mosaic into quad, its variance (of ln I) into out; reconcile them.
 
     The same bits as `bilinear` of uncertain samples, `bilinear_variance`, `mismatch`
-    with the four numbers of spread (empty: without it) and `reconcile` with null, but
-    row by row, so that intermediate results stay in the cache.  Only rows (first, last)
-    are written; scratch is 2 * (w + 32) + 32 floats.  Unless aop and dolp have shape
-    (0, 0), they receive what `s0_aop_dolp` gives with gain.
+    with the four numbers of spread and `reconcile` with null, but row by row, so that
+    intermediate results stay in the cache.  Only rows (first, last) are written;
+    scratch is 2 * (w + 32) + 32 floats.  Unless aop and dolp have shape (0, 0), they
+    receive what `s0_aop_dolp` gives with gain.
     """
     cdef weighted_t image
     cdef bint polarizes = aop.shape[0] > 0

@@ -27,7 +27,6 @@ cdef struct weighted_t:
     const float* variance       # (h, w), of ln I
     Py_ssize_t plane[4]         # the channel at each place of a cell
     float gain, angle, contrast, offset     # variances, the third divided by 4
-    bint differ                 # whether there is mismatch
     const float* null           # (4, h, w), or (4, 1, 1): `one`
     bint one
     float* own                  # two rows of scratch
@@ -42,23 +41,21 @@ cdef inline int check_weighted(
     cdef Py_ssize_t h = mosaic.shape[0], w = mosaic.shape[1]
     cdef float quarter = 0.25
     to.one = null.shape[1] == 1 and null.shape[2] == 1
-    to.differ = spread.shape[0] == 4
     if (h < 2 or w < 2 or variance.shape[0] != h or variance.shape[1] != w
             or null.shape[0] != 4):
         raise ValueError("mosaic and variance must be (h, w), sides >= 2")
     if not to.one and (null.shape[1] != h or null.shape[2] != w):
         raise ValueError("null must be (4, h, w) or (4, 1, 1)")
-    if not to.differ and spread.shape[0] != 0:
-        raise ValueError("spread must be four numbers or none")
+    if spread.shape[0] != 4:
+        raise ValueError("spread must be four numbers")
     if scratch.shape[0] < rows * row_stride(w) + 32:
         raise ValueError(f"scratch must be {rows} * (w + 32) + 32 floats")
     check_places(places)
     plane_of_place(places, to.plane)
-    if to.differ:
-        to.gain = spread[0] * spread[0]
-        to.angle = spread[1] * spread[1]
-        to.contrast = spread[2] * (spread[2] * quarter)
-        to.offset = spread[3] * spread[3]
+    to.gain = spread[0] * spread[0]
+    to.angle = spread[1] * spread[1]
+    to.contrast = spread[2] * (spread[2] * quarter)
+    to.offset = spread[3] * spread[3]
     to.h, to.w = h, w
     to.mosaic, to.variance, to.null = &mosaic[0, 0], &variance[0, 0], &null[0, 0, 0]
     to.own = scratch_row(&scratch[0], 0, w)
@@ -97,9 +94,8 @@ cdef inline void weighted_row(
     for c in range(4):
         to[c] = v[of.plane[c]]
     variance_row(of.variance, y, h, w, of.own, of.other, to)
-    if of.differ:
-        mismatch_row(q[0], q[1], q[2], q[3], of.gain, of.angle, of.contrast,
-                     of.offset, w, v[0], v[1], v[2], v[3])
+    mismatch_row(q[0], q[1], q[2], q[3], of.gain, of.angle, of.contrast, of.offset, w,
+                 v[0], v[1], v[2], v[3])
     reconcile_row(q[0], q[1], q[2], q[3], v[0], v[1], v[2], v[3], of.null + at,
                   of.null + step + at, of.null + 2 * step + at,
                   of.null + 3 * step + at, of.one, w)

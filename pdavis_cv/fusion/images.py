@@ -37,7 +37,7 @@ class ImageMaker:
     The image is the region `roi` (x, y, width, height) on the sensor, whose layout is
     given.  S1 and S2 are corrected for the extinction ratio, where the calibration has
     no analyser matrix.  The sensor, by default `Sensor.PDAVIS`, gives the spread of the
-    polarizers.
+    pixels.
     """
 
     def __init__(

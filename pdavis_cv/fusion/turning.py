@@ -33,8 +33,8 @@ _PULSES = 1, 3      # types of triggers: rising edges, pulses
 _NOMINAL_SIGMA, _STATED_SIGMA = 0.5, 0.05
 """Relative error of thresholds of a data sheet, and of those that the caller states."""
 _LEARN_EVENTS = 4_000_000
-"""Most from which thresholds are learned: from the middle of a recording on, as a motor
-may start in its beginning; and from there if they do not tell the thresholds."""
+"""Most from which thresholds are learned: those from the middle of a recording on, as a
+motor may start at its beginning; else, if they do not tell them, from its beginning."""
 
 
 class TurningFusion(Advises, Iterator[PolarFrame]):

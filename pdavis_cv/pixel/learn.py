@@ -50,7 +50,7 @@ EVIDENCE, EVIDENCE_OF_BLACK, LOSS_OF_BLACK, ERRORS_OF_BLACK = 4.0, 25.0, 3.0, 4.
 """Fall of -2 ln posterior for which a number is taken that was not told: two standard
 errors; and five for a black level, which must also lower the loss of pairs by three and
 be worth four of its own: it makes up for much that is not modelled (2 to 3 DN/ms were
-found where none was, of 3.1 to 3.6 errors; true ones had 5 and more)."""
+found where none was, 3.1 to 3.6 of their errors; true ones were 5 and more)."""
 
 MOST_LACKING = 1.7
 """A choice: usual lags that pixels without any lack at most, as the fit sees them."""
