@@ -21,6 +21,7 @@ from pdavis_cv.recording.bag_writer import write_rosbag
 from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.packetise import Batch, packetise
+from pdavis_cv.recording.registry import writer_for
 from pdavis_cv.tools.main import main
 
 EVENT = np.dtype([("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "u1"), ("pad", "V3")])
@@ -417,6 +418,45 @@ def test_packets_that_all_moved_are_found_without_searching_for_each(
         looked_at.clear()
         assert len(recording.events()) == 1999
     assert sum(looked_at) < 4 * len(data)
+
+
+FORMS = ("lz4.aedat4", "none.aedat4", "zstd.aedat4", "x.aedat", "x.raw", "x.h5",
+         "x.es", "x.csv", "x.npy", "x.parquet", "x.mcap", "x.db3", "x.ome.tif")
+
+
+@pytest.mark.parametrize(
+    "isolated", [False, pytest.param(True, marks=pytest.mark.gate)])
+@pytest.mark.parametrize("name", FORMS)
+def test_a_limit_gives_the_whole_or_an_error_that_names_it(name, isolated, tmp_path):
+    def read(**limits):
+        try:
+            with open_recording(path, layout="pdavis", isolated=isolated,
+                                limits=Limits(**limits)) as recording:
+                return [(packet.events.tobytes(), len(packet.frames))
+                        for packet in recording.packets()]
+        except RecordingError as error:
+            return error
+
+    path = tmp_path / name
+    if name == "x.ome.tif":
+        tifffile = pytest.importorskip("tifffile")
+        tifffile.imwrite(path, np.ones((9, 24, 32), np.uint8), metadata={"axes": "TYX"})
+    else:
+        rows = np.zeros(300, pdavis_cv.EVENT_DTYPE)
+        rows["t"], rows["x"] = 1000 * np.arange(300), np.arange(300) % 8
+        _, write = writer_for(path)
+        write(path, pdavis_cv.recording_from_arrays(rows, sensor_size=(128, 128)),
+              **{"compression": name[:-7]} if name.endswith("aedat4") else {})
+    whole = read()
+    assert len(whole) > 1
+    for limit, values in {"memory": (1, 24, 30, 10**4, 10**8),
+                          "time_span": (1, 10**5, 10**9)}.items():
+        found = [read(**{limit: value}) for value in values]
+        refused = [isinstance(one, RecordingError) for one in found]
+        assert refused == sorted(refused, reverse=True)
+        assert 0 < sum(refused) < len(values)
+        assert all(f" {limit}=" in str(one) if error else one == whole
+                   for error, one in zip(refused, found, strict=True))
 
 
 def test_a_search_beyond_the_limit_is_an_error(tmp_path):

@@ -40,8 +40,9 @@ _NEAR, _TRIES = 1 << 16, 8
 bytes, among this number of candidates with its stream and size."""
 _BLOCK = 1 << 20
 """Bytes of an index that are unpacked to know it: a block of LZ4 is seldom larger."""
-_HEAD = 24
-"""Bytes that identify a packet: its header, and the beginning of its payload."""
+_HEAD, _LEAST = 24, 12
+"""Bytes that identify a packet: its header and the beginning of its payload; those of
+a payload are its size, the place of its table, and the kind of it."""
 
 
 class Entry(NamedTuple):
@@ -237,8 +238,8 @@ class Aedat4File:
         if head[:4] not in (_LZ4_MAGIC, _ZSTD_MAGIC):
             return False
         with contextlib.suppress(PayloadError):
-            return _unpacked(
-                self.reader.read(at, _BLOCK), self.compression, 12)[8:] == b"FTAB"
+            block = self.reader.read(at, _BLOCK)
+            return _unpacked(block, self.compression, _LEAST)[8:] == b"FTAB"
         return False
 
     def _begins(self, limit: int, base: int, block: bytes) -> Iterator[int]:
@@ -350,7 +351,7 @@ def decompressed(payload: bytes | memoryview, compression: str, budget: Budget
     """
     if compression == "none":
         return bytes(payload)
-    most = budget.most(len(payload))
+    most = max(budget.most(len(payload)), _LEAST)   # which says what it becomes
     data = _unpacked(payload, compression, most)
     if len(data) >= most:
         budget.piece(_declared(data), "a packet", len(payload))
@@ -416,7 +417,7 @@ def _zstd_of(thread: int) -> Any:
 def _declared(data: bytes) -> int:
     """Return the size of a buffer according to its size prefix, which is included."""
     size = int.from_bytes(data[:4], "little") + 4
-    if len(data) < 4 or not 12 <= size <= MAX_PAYLOAD:
+    if len(data) < 4 or not _LEAST <= size <= MAX_PAYLOAD:
         raise PayloadError(f"a packet cannot hold {size} bytes")
     return size
 

@@ -236,6 +236,7 @@ class ImageRecording(FileRecording):
                 raise RecordingError(
                     f"{self._path}: image {k} is {image.shape[-1]}x{image.shape[-2]}, "
                     f"the first one is {self._size[-1]}x{self._size[-2]}")
+            self._budget.time(t)
             yield Packet(frames=(self._frame(image, t, end),))
 
     def _frame(self, image: NDArray[Any], start: int, end: int) -> ApsFrame:
