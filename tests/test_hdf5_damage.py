@@ -14,6 +14,7 @@ from pdavis_cv import (
     recording_from_arrays,
 )
 from pdavis_cv.recording import sandbox
+from pdavis_cv.recording.hdf5.reader import Hdf5Recording
 from pdavis_cv.recording.hdf5.writer import write_hdf5
 from pdavis_cv.tools.main import main
 
@@ -55,6 +56,56 @@ def test_chunks_smaller_than_what_is_read_at_once_cost_no_more(tmp_path):
             pytest.warns(DamagedFileWarning, match=r"events 2000 \.\. 3000"):
         got = recording.events()
     np.testing.assert_array_equal(got, np.delete(events, np.s_[2000:3000]))
+
+
+@pytest.mark.parametrize("names", ["txyp", ("ts", "xs", "ys", "ps"), None])
+@pytest.mark.parametrize("fault", ["one late", "one early", "segment", "falls", "none"])
+def test_a_window_of_damaged_times_is_that_part_of_the_whole(
+        fault, names, tmp_path, monkeypatch):
+    monkeypatch.setattr("pdavis_cv.recording.hdf5.reader.CHUNK", 128)
+    t = 10_000 * np.arange(2000)
+    if fault.startswith("one"):
+        t[1024] += 10**9 if fault == "one late" else -10**9
+    elif fault == "segment":
+        t[700:] -= t[700]
+    elif fault == "falls":
+        t[700:760] = t[700:760][::-1]
+    path = tmp_path / "x.h5"
+    with h5py.File(path, "w") as file:
+        file.attrs["sensor_size"] = [12, 16]
+        values = (t, *np.random.default_rng(0).integers(0, 2, (3, len(t))))
+        if names is None:
+            file["events"] = np.stack(values, 1)
+        else:
+            for name, column in zip(names, values, strict=True):
+                file[f"events/{name}"] = column
+    with open_recording(path) as recording:
+        whole = recording.events()
+        assert len(whole) >= 1900
+        assert bool(recording.problems) == (fault != "none")
+        starts = whole["t"][::97]
+        for start, stop in zip(starts, starts[3:], strict=False):
+            part = whole[(whole["t"] >= start) & (whole["t"] < stop)]
+            for one in (recording, open_recording(path)):
+                np.testing.assert_array_equal(one.events(start, stop), part)
+                np.testing.assert_array_equal(joined(one.packets(start, stop))[0], part)
+                if one is not recording:
+                    one.close()
+
+
+def test_a_window_of_a_sound_file_is_read_without_what_lies_before(
+        tmp_path, monkeypatch):
+    events = random_events(1 << 20, (12, 16), seed=4)
+    write_hdf5(tmp_path / "x.h5", recording_from_arrays(events, sensor_size=(12, 16)),
+               flavour="dsec")
+    read = []
+    columns = Hdf5Recording._events
+    monkeypatch.setattr(Hdf5Recording, "_events", lambda self, row, *rest: (
+        read.append(row), columns(self, row, *rest))[1])
+    with open_recording(tmp_path / "x.h5") as recording:
+        start = int(events["t"][-1000])
+        assert len(recording.events(start)) == np.count_nonzero(events["t"] >= start)
+    assert read[0] == 14 << 16
 
 
 def test_a_broken_frame_costs_itself(tmp_path):

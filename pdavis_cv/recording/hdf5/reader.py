@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import math
 import re
+from bisect import bisect_left
 from collections.abc import Callable, Hashable, Iterator
 from typing import Any, NamedTuple
 
@@ -225,6 +226,11 @@ class Hdf5Recording(PiecewiseRecording):
             t, x, y, p = read(rows)
             return microseconds(t, unit) + offset, x, y, p
 
+        def times(rows: slice) -> NDArray[np.int64]:
+            return microseconds(
+                parts[0][rows] if len(parts) > 1 else read(rows)[0], unit) + offset
+
+        self._times, self._firsts = times, [NEVER]
         return columns
 
     def _first(self, read: Callable[[slice], Columns]) -> Columns:
@@ -331,19 +337,22 @@ class Hdf5Recording(PiecewiseRecording):
             yield Batch(frames=self._frame(place), complete_us=place.ready), 1.0
 
     def _row_before(self, start_us: int | None) -> int:
+        """Return a row up to which times are in order, and all before that is needed.
+
+        A chunk more is read, as the clock decides on an event from those around it.
+        `_firsts` are the times of the first rows of the chunks that are known.
+        """
         if start_us is None:
             return 0
-        t_us = cell_start(start_us)
-        lo, hi = 0, (self._length + CHUNK - 1) // CHUNK
-        try:
-            with _reading():
-                while hi - lo > 1:
-                    middle = (lo + hi) // 2
-                    t = self._columns(slice(middle * CHUNK, middle * CHUNK + 1))[0][0]
-                    lo, hi = (middle, hi) if t < t_us else (lo, middle)
-        except _LostError:
-            return 0
-        return lo * CHUNK
+        t_us, firsts = cell_start(start_us), self._firsts.copy()
+        with contextlib.suppress(_LostError), _reading():
+            while firsts[-1] < t_us and (end := len(firsts) * CHUNK) < self._length:
+                t = self._times(slice(end - CHUNK, end + 1))
+                if np.any(t[1:] < t[:-1]):
+                    break
+                firsts.append(int(t[-1]))
+        self._firsts = firsts
+        return max(bisect_left(firsts, t_us) - 2, 0) * CHUNK
 
     def _events(self, row: int, stop: int, clock: Clock, memory: Scratch
                 ) -> NDArray[Any]:
