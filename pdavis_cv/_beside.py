@@ -11,6 +11,7 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
 from typing import BinaryIO
 
@@ -47,9 +48,6 @@ class Place:
         If this fails, `part` remains.
         """
         if not self.takes_bytes:
-            if part.is_file():      # its bytes, before its name
-                with part.open("rb") as file:
-                    os.fsync(file.fileno())
             os.replace(part, self.beside)
             return
         # Not truncated: a shell may append a command's output to it.
@@ -121,6 +119,30 @@ def named(path: Path, part: Path) -> Iterator[None]:
         raise OSError(said if str(path) in said else f"{path}: {said}") from error
 
 
+_WAITING: ContextVar[list[Unfinished] | None] = ContextVar("waiting", default=None)
+
+
+@contextlib.contextmanager
+def all_or_none() -> Iterator[None]:
+    """Give the files that the block writes their names when all of them are complete.
+
+    If the block raises, none of them appears.
+    """
+    if _WAITING.get() is not None:      # a block around this one does so
+        yield
+        return
+    files: list[Unfinished] = []
+    token = _WAITING.set(files)
+    try:
+        yield
+        for one in files:
+            one.put()
+    finally:
+        _WAITING.reset(token)
+        for one in files:
+            one.discard()
+
+
 class Unfinished:
     """A file that is written under a temporary name, `part`, and then renamed.
 
@@ -142,15 +164,27 @@ class Unfinished:
         return named(self.path, self.part)
 
     def finish(self, whole: Path | None = None) -> None:
-        """Give the file, or one in the folder that was made in its place, its name."""
+        """Give the file, or one in the folder that was made in its place, its name.
+
+        In a block of `all_or_none`, this is done at its end.
+        """
+        self._whole, waiting = whole or self.part, _WAITING.get()
+        if self._whole.is_file():       # its bytes, before its name
+            with self.named(), self._whole.open("rb") as file:
+                os.fsync(file.fileno())
+        self.put() if waiting is None else waiting.append(self)
+
+    def put(self) -> None:
+        """Give the finished file its name."""
         with self.named():
-            self._place.put(whole or self.part)
+            self._place.put(self._whole)
         self._place.close()
 
     def discard(self) -> None:
-        """Remove what was written, if it has not been renamed."""
-        remove(self.part)
-        self._place.close()
+        """Remove what was written, if it has no name yet nor waits for one."""
+        if self not in (_WAITING.get() or ()):
+            remove(self.part)
+            self._place.close()
 
 
 def clear(path: str | os.PathLike[str]) -> None:

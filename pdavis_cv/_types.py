@@ -1,11 +1,12 @@
-"""Names of the types that most functions take and return, by what they hold.
+"""Names of the types that most functions take and return, and a base of classes.
 
 Shapes, dtypes and units that a name leaves open are in the docstrings.
 """
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,3 +29,17 @@ State = Mapping[str, Any]
 Facts = Mapping[str, Any]
 """What is known of a recording, image or result, by name.  Any: it is written as
 JSON, or read by those who know the name."""
+
+
+class Closing(ABC):
+    """Base of what the end of a ``with`` block closes."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Finish, and release what is held."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        self.close()

@@ -42,6 +42,8 @@ def writers(folder):
     for name in ("y.aedat4", "y.aedat", "y.h5", "y.mcap", "y.db3", "y.raw", "y.es",
                  "y.csv", "y.npy", "y.parquet"):
         found[name] = ("convert", str(folder / "davis.aedat4"), name)
+    for name in ("a.npy", "a.csv"):
+        found[name] = ("export", source, "-o", name, "--what", "aop-events", *layout)
     found["z.npz"] = ("calibrate", "dark", source, "-o", "z.npz")
     found["z.csv"] = ("score", source, "-o", "z", "--methods", "cf", "--thresholds",
                       "nominal")

@@ -4,6 +4,7 @@ import gc
 import inspect
 import os
 import re
+import shutil
 import socket
 import stat
 import subprocess
@@ -12,9 +13,11 @@ import threading
 
 import numpy as np
 import pytest
+from faults import source_files
 
 from pdavis_cv import Aedat4Writer, Packet, PolarFrame, as_events
-from pdavis_cv._beside import Unfinished, sole, write_beside
+from pdavis_cv._beside import Unfinished, all_or_none, sole, write_beside
+from pdavis_cv.data import example_recording
 from pdavis_cv.export import NpyFile, NpzFile
 from pdavis_cv.export.stacks import StackFile
 from pdavis_cv.recording.base import RecordingInfo
@@ -48,6 +51,73 @@ def test_a_block_that_raises_leaves_what_was_there(tmp_path):
         interrupted()
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_files_of_a_block_appear_together(tmp_path):
+    def written(*, fails):
+        with all_or_none():
+            with write_beside(tmp_path / "a") as part:
+                part.write_text("1")
+            with all_or_none(), write_beside(tmp_path / "b") as part:
+                part.write_text("2")
+            assert not (tmp_path / "a").exists()
+            assert not (tmp_path / "b").exists()
+            if fails:
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        written(fails=True)
+    assert not list(tmp_path.iterdir())
+    written(fails=False)
+    assert sorted(one.read_text() for one in tmp_path.iterdir()) == ["1", "2"]
+
+
+FRAMES = ("--layout", "pdavis", "--method", "frames")
+TWO_FILES = {
+    "array of AoP": (("export", "--what", "aop-events", "-o", "x.npy"),
+                     "pathlib.Path.write_text"),
+    "table of AoP": (("export", "--what", "aop-events", "-o", "x.csv"),
+                     "pathlib.Path.write_text"),
+    "array": (("export", "-o", "x.npy", "--fps", "20", *FRAMES),
+              "pathlib.Path.write_text"),
+    "score": (("score", "-o", "x", "--methods", "cf", "--thresholds", "nominal"),
+              "pathlib.Path.write_text"),
+    "fan": (("fan", "-o", "x.webm", "--still", "x.png", "--fps", "20", *FRAMES),
+            "pdavis_cv.export.write_png"),
+    "tendon": (("tendon", "-o", ".", "--load-hz", "3", "--fps", "20", "--no-video",
+                *FRAMES, "--region", "all=4,4,8,8"),
+               "pdavis_cv.tools.tendon.report.write_report"),
+    "dark": (("calibrate", "dark", "-o", "x.npz"), "pdavis_cv.Calibration.save"),
+    "simulate": (("simulate", "polarizer", "-o", "x.aedat4", "--seconds", "0.05"),
+                 "numpy.savez_compressed")}
+"""Commands of several files, and what is called for the last of them."""
+
+
+@pytest.mark.parametrize("name", TWO_FILES)
+def test_outputs_of_several_files_are_whole_or_none_is_there(
+        name, tmp_path, monkeypatch, capsys):
+    source_files(tmp_path)
+    if name == "tendon":
+        shutil.copy(example_recording("tendon"), tmp_path / "in.aedat4")
+    (tmp_path / "out").mkdir()
+    monkeypatch.chdir(tmp_path / "out")
+    command, last = TWO_FILES[name]
+    reads = ["../in.aedat4"] if command[0] != "simulate" else []
+    at = 2 if command[0] == "calibrate" else 1
+
+    def full(*arguments, **options):
+        raise OSError(errno.ENOSPC, "full")
+
+    command = [*command[:at], *reads, *command[at:]]
+    if name.endswith("AoP"):
+        command += ["--layout", "pdavis"]
+    with monkeypatch.context() as patched:
+        patched.setattr(last, full)
+        assert main(command) == 1
+    assert "full" in capsys.readouterr().err
+    assert not list((tmp_path / "out").iterdir())
+    assert main(command) == 0
+    assert len(list((tmp_path / "out").iterdir())) >= 2
 
 
 def test_errors_name_the_final_file(tmp_path):

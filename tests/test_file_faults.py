@@ -23,7 +23,7 @@ def cases(kind):
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="/sys, /dev/full")
 def test_no_fault_leaves_half_an_output():
     found = cases("writers")
-    assert len(found) == 23 * len(CODES)
+    assert len(found) == 25 * len(CODES)
     for case in found:
         fault, said, left = case["fault"], case["said"], case["left"]
         if fault == "stdout" and case["code"] == 0:     # it had nothing to say

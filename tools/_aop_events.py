@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv import AOP_EVENT_DTYPE, AopEvents, Recording, export, render
-from pdavis_cv._beside import write_beside
+from pdavis_cv._beside import all_or_none, write_beside
 from pdavis_cv._types import Events
 from pdavis_cv.calibration.thresholds import resolve_thresholds
 from pdavis_cv.render.colours import Picture
@@ -94,10 +94,10 @@ def _npy(path: Path, pieces: Iterator[Events], facts: dict[str, Any]) -> int:
     together = np.concatenate(found)
     array = io.BytesIO()    # numpy.save does not notice that a disk is full
     np.save(array, together)
-    with write_beside(path) as part:
+    with all_or_none(), write_beside(path) as part:
         part.write_bytes(array.getvalue())
-    export.write_json(path.with_suffix(".npy.json"), {
-        **facts, "units": {"t": "us", "x": "pixel", "y": "pixel", "aop": "rad"}})
+        export.write_json(path.with_suffix(".npy.json"), {
+            **facts, "units": {"t": "us", "x": "pixel", "y": "pixel", "aop": "rad"}})
     return len(together)
 
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 _ALWAYS: ContextVar[bool] = ContextVar("_ALWAYS", default=False)
 """Whether --progress was given to this command or to the one that calls it."""
-_NEVER: ContextVar[bool] = ContextVar("_NEVER", default=False)
+QUIET: ContextVar[bool] = ContextVar("QUIET", default=False)
 _EVERY_S = 4    # interval of messages during a stage; a choice
 
 
@@ -33,16 +33,6 @@ def own_progress() -> Iterator[None]:
         _ALWAYS.reset(before)
 
 
-@contextlib.contextmanager
-def no_progress() -> Iterator[None]:
-    """Show no stages and bars, as the parent process shows its own."""
-    before = _NEVER.set(True)
-    try:
-        yield
-    finally:
-        _NEVER.reset(before)
-
-
 def asked_for() -> bool:
     """Return whether --progress was given."""
     return _ALWAYS.get()
@@ -50,7 +40,7 @@ def asked_for() -> bool:
 
 def _shown(**options: Any) -> dict[str, Any]:
     """Return tqdm's options, to show bars on a terminal or with --progress."""
-    if _NEVER.get():
+    if QUIET.get():
         return {"disable": True, **options}
     if _ALWAYS.get():
         return {"disable": False, "mininterval": 1.0, **options}
@@ -109,7 +99,7 @@ class _Stage:
 def stage(what: str) -> None:
     """Show the name of a stage, where `progress` would show a bar."""
     _Stage.end()
-    if _NEVER.get():
+    if QUIET.get():
         return
     if _ALWAYS.get() or (sys.stderr is not None and sys.stderr.isatty()):
         print(f"pdavis: {what} ...", file=sys.stderr, flush=True)

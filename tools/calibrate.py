@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv import Calibration, Recording, fuse
+from pdavis_cv._beside import all_or_none
 from pdavis_cv.analysis import found_zero
 from pdavis_cv.aps import clip_level
 from pdavis_cv.calibration.check import check_recording
@@ -64,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not files:
             continue
         stage(f"measuring {part}")
-        with for_people(args):
+        with for_people(args), all_or_none():
             known = _measure(part, files, args, known)
             known.save(path)
             print(f"wrote {path}: {', '.join(known.parts)}")

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv import Recording, export, fuse, open_recording, render
+from pdavis_cv._beside import all_or_none
 from pdavis_cv._opencv import opencv
 from pdavis_cv.analysis import SectorSummary, Wheel, summarise_sectors
 from pdavis_cv.recording.base import start_of
@@ -48,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not args.slow > 0:
         raise UsageError(f"--slow must be positive, got {args.slow:g}")
     opencv()
-    with opened(args) as recording:
+    with all_or_none(), opened(args) as recording:
         if args.beside is None:
             lines, facts = make_fan(args, recording, None)
         else:

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from pdavis_cv import Calibration, Recording, __version__
+from pdavis_cv._beside import all_or_none
 from pdavis_cv.analysis import CLASSES, LeftOutFrames, PredictionScore, pooled
 from pdavis_cv.batch import both_halves, predicted
 from pdavis_cv.errors import PdavisWarning
@@ -334,6 +335,7 @@ def _count(halves: Sequence[LeftOutFrames]) -> int:
     return sum(len(one.times_us) for one in halves)
 
 
+@all_or_none()
 def _write(stem: Path, rows: Sequence[Row], summary: Mapping[str, Any]) -> None:
     write_csv(
         stem.with_name(stem.name + ".csv"),

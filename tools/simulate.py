@@ -12,6 +12,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from pdavis_cv._beside import all_or_none
 from pdavis_cv.recording.registry import writer_for
 from pdavis_cv.recording.stream import source_from_packets
 from pdavis_cv.sensor import Sensor
@@ -53,10 +54,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise UsageError("AEDAT-2.0 is for event cameras; use a .aedat4 file")
     checked_out(args.out, recording=True, force=args.force)
     stream = camera.stream(scene, args.seconds, run=args.run, threads=args.threads)
-    missing = write(args.out, source_from_packets(stream.info, progress_in_time(
-        stream.packets(), 0, round(args.seconds * 1e6))))
     truth = Path(f"{os.fspath(args.out)}.truth.npz")
-    stream.truth().save(truth)
+    with all_or_none():
+        missing = write(args.out, source_from_packets(stream.info, progress_in_time(
+            stream.packets(), 0, round(args.seconds * 1e6))))
+        stream.truth().save(truth)
     lost = int(stream.truth().bus_lost.sum())
     lines = [f"wrote {args.out} and {truth}",
              *(f"not kept: {count:,} {what}" for what, count in missing.items())]

@@ -8,7 +8,7 @@ from time import perf_counter
 
 from pdavis_cv._workers import usable_cores
 from pdavis_cv.batch.processes import ProcessPool
-from pdavis_cv.tools._progress import no_progress, progress
+from pdavis_cv.tools._progress import QUIET, progress
 
 from .print_style import journal
 from .run import Row, Settings
@@ -50,6 +50,6 @@ def _quietly(make: Make, name: str, stem: Path, settings: Settings
              ) -> tuple[list[Row], float]:
     """Make one in a process of its own, whose bars would cover each other."""
     start = perf_counter()
-    with no_progress(), journal():
-        _, rows = make(name, stem, settings)
-    return rows, perf_counter() - start
+    QUIET.set(True)
+    with journal():
+        return make(name, stem, settings)[1], perf_counter() - start

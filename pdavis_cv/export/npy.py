@@ -23,10 +23,6 @@ class NpyFile(StackFile):
                 "descr": "<f4", "fortran_order": False, "shape": stack.shape})
             for image in stack:     # numpy.save does not notice a full disk
                 file.write(image.data)
-
-    def close(self) -> None:
-        """Complete the file and give it its name; then write the other one."""
-        super().close()
         write_json(self.path.with_name(self.path.name + ".json"), {
             "provenance": self.facts, "axes": "T, quantity, row, column",
             "quantities": self.quantities, "units": [*self.units.values()],

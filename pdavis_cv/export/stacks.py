@@ -4,23 +4,23 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdavis_cv._beside import Place, named, no_link, sole, write_beside
+from pdavis_cv._beside import Place, all_or_none, named, no_link, sole, write_beside
 from pdavis_cv._checks import positive
+from pdavis_cv._types import Closing
 from pdavis_cv.export.embedded import to_json
 from pdavis_cv.polarimetry import PolarFrame
 from pdavis_cv.quantities import chosen
 
 
-class StackFile(ABC):
+class StackFile(Closing):
     """Write float32 planes, one per quantity and time; NaN = not valid.
 
     Until the file is complete, its data are in ``.NAME.unfinished`` next to it.  If the
@@ -177,7 +177,7 @@ class StackFile(ABC):
 
     @abstractmethod
     def _finish(self, part: Path, stack: NDArray[np.float32]) -> None:
-        """Write the final file from the data, (T, quantity, H, W)."""
+        """Write the final file, and others, from the data, (T, quantity, H, W)."""
 
     def close(self) -> None:
         """Complete the file and give it its name.
@@ -198,7 +198,7 @@ class StackFile(ABC):
         stack = np.memmap(self.unfinished, np.dtype("<f4"), "r", shape=(
             self.count, len(self.quantities), *(self.shape or (0, 0))))
         try:
-            with write_beside(self.path) as part:
+            with all_or_none(), write_beside(self.path) as part:
                 self._finish(part, stack)
         finally:
             # Unmap before the file is removed; the array would keep it open.
@@ -220,20 +220,10 @@ class StackFile(ABC):
                 with contextlib.suppress(OSError):  # data do not fit: it was reported
                     file.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if error is None:
-            try:
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        try:
+            if kind is None:
                 self.close()
-            except BaseException:
+        finally:
+            if not self._closed:
                 self._release() if self.resume else self.discard()
-                raise
-        elif self.resume:
-            self._release()
-        else:
-            self.discard()

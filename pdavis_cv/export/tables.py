@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pdavis_cv._beside import write_beside
+from pdavis_cv._beside import all_or_none, write_beside
 from pdavis_cv._text import table_text
 from pdavis_cv._types import Facts
 from pdavis_cv.export.embedded import to_json
@@ -50,17 +50,16 @@ def write_csv(
     OSError
         If it cannot be written.
     """
-    with write_beside(path) as part, part.open(
+    with all_or_none(), write_beside(path) as part, part.open(
             "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, delimiter=";" if decimal == "," else ",",
                             lineterminator="\n")
         writer.writerow(map(table_text, header))
         for row in rows:
             writer.writerow([_cell(value, decimal, digits) for value in row])
-    if facts:
-        target = Path(path)
-        with write_beside(target.with_name(target.name + ".json")) as part:
-            part.write_text(to_json(facts) + "\n", encoding="utf-8")
+        if facts:
+            with write_beside(f"{os.fspath(path)}.json") as other:
+                other.write_text(to_json(facts) + "\n", encoding="utf-8")
 
 
 def _cell(value: Any, decimal: str, digits: int) -> Any:
@@ -138,6 +137,7 @@ def write_traces(
               digits=_DIGITS)
 
 
+@all_or_none()
 def write_jaer_csv(
     path: str | os.PathLike[str], traces: Traces, *, origin_us: int = 0,
     facts: Facts | None = None,

@@ -7,9 +7,9 @@ import socket
 import ssl
 import threading
 from collections import deque
-from typing import Self
 
 from pdavis_cv._checks import whole_number
+from pdavis_cv._types import Closing
 from pdavis_cv.recording.aedat4.writer import EVENTS, FRAMES, StreamEncoder
 from pdavis_cv.recording.base import Packet, RecordingInfo
 
@@ -81,7 +81,7 @@ class _Client:
         self._thread.join()
 
 
-class DvServer:
+class DvServer(Closing):
     """Sends packets to all connected clients: events, and frames on a second port.
 
     Parameters
@@ -231,9 +231,3 @@ class DvServer:
     def _hang_up(self) -> None:
         for link, _ in self._listeners:
             link.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()

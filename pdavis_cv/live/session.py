@@ -7,12 +7,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
-from typing import Any, Self, Unpack, overload
+from typing import Any, Unpack, overload
 
 import numpy as np
 
 from pdavis_cv._options import names_options
-from pdavis_cv._types import Events
+from pdavis_cv._types import Closing, Events
 from pdavis_cv.events import EVENT_DTYPE
 from pdavis_cv.fusion import Fusion
 from pdavis_cv.fusion.options import (
@@ -69,7 +69,7 @@ class _Arriving(PlainSource):
 
 
 @names_options(FusionOptions, SourceOptions, rest="method_parameters")
-class Session:
+class Session(Closing):
     """Images of a live source, made while its data arrive.
 
     One thread reads the source and never waits for fusing; another one fuses, with
@@ -577,9 +577,3 @@ class Session:
                 thread.join()
         self.record(None)
         atexit.unregister(self.close)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()

@@ -10,12 +10,13 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import Unfinished, clear
+from pdavis_cv._types import Closing
 from pdavis_cv.recording.aedat4.samples import EIGHT_BIT_DN
 from pdavis_cv.recording.aedat4.writer import stored_pixels
 from pdavis_cv.recording.base import ApsFrame, Recording
@@ -46,7 +47,7 @@ def _store() -> Any:
     return store
 
 
-class Bag:
+class Bag(Closing):
     """Write messages of one camera to a ROS 2 bag, which appears when it is complete.
 
     Topics are ``/pdavis/NAME``; the frame of all messages is ``pdavis``.  A path in
@@ -172,9 +173,6 @@ class Bag:
         with contextlib.suppress(Exception):    # of a full disk, once more
             self._bag.abort()
         self._unfinished.discard()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         self.close() if kind is None else self.discard()

@@ -3,19 +3,20 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pdavis_cv._advice import Advises
 from pdavis_cv._checks import of_interval, typed, whole_number
+from pdavis_cv._types import Closing
 from pdavis_cv.events import EVENT_DTYPE, FAR, checked_time
 from pdavis_cv.recording.facts import FILE, Fact
 from pdavis_cv.recording.options import MOST_DN
@@ -427,10 +428,10 @@ class Report:
     problems: tuple[Problem, ...]
 
 
-class Source(Advises, ABC):
+class Source(Advises, Closing):
     """Packets in time order that may be readable only once: a file or a camera.
 
-    Use as a context manager, or call `close`.
+    Use as a context manager, or call `close`; reading afterwards raises ValueError.
 
     Attributes
     ----------
@@ -460,10 +461,6 @@ class Source(Advises, ABC):
         Packet
         """
 
-    @abstractmethod
-    def close(self) -> None:
-        """Close the source; reading afterwards raises ValueError."""
-
     @property
     def path(self) -> Path | None:
         """The file that is read, None if there is none."""
@@ -489,12 +486,6 @@ class Source(Advises, ABC):
                 ("frames", info.frame_count), ("events", info.event_count))
             if count is not None)
         return f"<{info.format} recording{name}: {width}x{height}{counts}>"
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 class PlainSource(Source):

@@ -13,9 +13,10 @@ import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 from pdavis_cv._beside import Unfinished
+from pdavis_cv._types import Closing
 from pdavis_cv.errors import RecordingError
 from pdavis_cv.recording.base import RecordingInfo
 from pdavis_cv.recording.davis import DavisDecoder, Orientation
@@ -47,7 +48,7 @@ class Transfer:
     lost: bool = False
 
 
-class TraceWriter:
+class TraceWriter(Closing):
     """Write transfers to a file; use as a context manager, or call `close`.
 
     The file gets its name when the writer is closed, also by an exception, as it holds
@@ -92,12 +93,6 @@ class TraceWriter:
         with self._writing():
             self._file.close()
             self._unfinished.finish()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 class TraceRecording(PiecewiseRecording):

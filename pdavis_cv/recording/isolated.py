@@ -95,7 +95,8 @@ class IsolatedRecording(Recording, PlainSource):
             folder = stack.enter_context(tempfile.TemporaryDirectory(
                 prefix="pdavis-", ignore_cleanup_errors=True))
             size = most + 2 * wire.ROOM
-            shared = sandbox.own_memory(size)
+            shared = os.memfd_create("pdavis")
+            os.ftruncate(shared, size)
             self._memory = mmap.mmap(shared, size, prot=mmap.PROT_READ)
             self._pipe, pipe = Pipe()
             stack.callback(self._pipe.close)

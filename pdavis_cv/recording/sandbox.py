@@ -135,10 +135,3 @@ def more_time(seconds: float) -> None:
     ends = int(time.process_time() + seconds) + 1
     resource.setrlimit(resource.RLIMIT_CPU, (
         ends if most == resource.RLIM_INFINITY else min(ends, most), most))
-
-
-def own_memory(size: int) -> int:
-    """Return the descriptor of memory that processes can share; none of it is used."""
-    memory = os.memfd_create("pdavis")
-    os.ftruncate(memory, size)
-    return memory

@@ -5,18 +5,19 @@ import contextlib
 import errno
 import logging
 import os
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv._beside import Unfinished
 from pdavis_cv._checks import typed
+from pdavis_cv._types import Closing
 from pdavis_cv.events import check_inside
 from pdavis_cv.recording.base import Packet, RecordingInfo, Source, check_size
 from pdavis_cv.recording.facts import text_of
@@ -25,7 +26,7 @@ from pdavis_cv.recording.prophesee import FALLING, RISING
 _LOG = logging.getLogger(__name__)
 
 
-class RecordingWriter(ABC):
+class RecordingWriter(Closing):
     """Write packets to a file.
 
     The file gets its name when the writer is closed.  After an exception inside the
@@ -136,14 +137,8 @@ class RecordingWriter(ABC):
             self._file.raw.close()      # what is buffered is not written
         self._unfinished.discard()
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self.discard()
+        self.close() if kind is None else self.discard()
 
 
 def info_of(recording: Source) -> RecordingInfo:

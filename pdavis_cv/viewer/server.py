@@ -8,9 +8,10 @@ import socket
 import ssl
 import threading
 from http.server import ThreadingHTTPServer
-from typing import Any, Self, Unpack
+from typing import Any, Unpack
 
 from pdavis_cv._checks import whole_number
+from pdavis_cv._types import Closing
 from pdavis_cv.fusion.options import AllKeywords
 from pdavis_cv.live import LOOPBACK
 from pdavis_cv.viewer.handler import PATIENCE_S, Handler
@@ -83,7 +84,7 @@ class _Listener(ThreadingHTTPServer):
         """Ignore errors of a connection: a client may leave at any time."""
 
 
-class Server:
+class Server(Closing):
     """A page and a stream of pictures; `serve` makes it.
 
     Use as a context manager, or call `close`.  In a notebook it shows the page.
@@ -138,12 +139,6 @@ class Server:
         """Serve until `close` is called, or an interrupt."""
         while not self.site.closing.wait(3600):
             pass
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def _repr_html_(self) -> str:
         return (f'<iframe src="{self.url}" width="100%" height="640" '

@@ -25,6 +25,7 @@ from pdavis_cv import (
     export,
     fuse,
 )
+from pdavis_cv._beside import all_or_none
 from pdavis_cv._opencv import opencv
 from pdavis_cv.export.ometiff import tifffile
 from pdavis_cv.recording.base import start_of
@@ -54,14 +55,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     tifffile()
     load = None if args.load is None else analysis.read_load(args.load)
     args.out.mkdir(parents=True, exist_ok=True)
-    with opened(args) as recording:
-        findings = measure(args, recording, load)
-    written = results.write(args, findings)
-    if not args.no_video:
-        written.append(args.out / "tendon.webm")
-    stage("report")
-    written.append(args.out / "report.html")
-    report.write_report(written[-1], findings)
+    with all_or_none():
+        with opened(args) as recording:
+            findings = measure(args, recording, load)
+        written = results.write(args, findings)
+        if not args.no_video:
+            written.append(args.out / "tendon.webm")
+        stage("report")
+        written.append(args.out / "report.html")
+        report.write_report(written[-1], findings)
     lines, facts = report.summary(findings)
     tell(args, [*(f"wrote {path}" for path in written), *lines], wrote=written, **facts)
     return 0

@@ -163,7 +163,6 @@ def write(args: argparse.Namespace, found: Findings) -> list[Path]:
     names.append(names.pop(names.index("note")))
     table: dict[str, Any] = {"decimal": args.decimal}
     facts = {**facts, "hz": found.load_hz}
-    # The largest file first: on a full disk it leaves no others.
     written = [out / "maps.ome.tif"]
     export.write_maps(
         written[0], maps_of(found), facts={

@@ -102,20 +102,20 @@ class Aedat4Writer(RecordingWriter):
         self._position_at = len(MAGIC) + 32
 
     def _write(self, packet: Packet) -> None:
-        if len(packet.events):
-            self._put(EVENTS, _events(packet.events), len(packet.events),
-                      int(packet.events["t"][0]), int(packet.events["t"][-1]))
+        self._put_samples(EVENTS, packet.events, _events)
         for frame in packet.frames:
             if self._bits is None:      # the first frame determines it
                 self._bits = 8 if frame.full_scale_dn == EIGHT_BIT_DN else 16
             self._put(FRAMES, _frame(frame, self._bits, self._lost), 1,
                       frame.mid_us, frame.mid_us)
-        if len(packet.imu):
-            self._put(IMU, _imu(packet.imu), len(packet.imu),
-                      int(packet.imu["t"][0]), int(packet.imu["t"][-1]))
-        if len(packet.triggers):
-            self._put(TRIGGERS, _triggers(packet.triggers), len(packet.triggers),
-                      int(packet.triggers["t"][0]), int(packet.triggers["t"][-1]))
+        self._put_samples(IMU, packet.imu, _imu)
+        self._put_samples(TRIGGERS, packet.triggers, _triggers)
+
+    def _put_samples(self, stream: int, samples: NDArray[Any],
+                     encoded: Callable[[NDArray[Any]], bytes | NDArray[Any]]) -> None:
+        if len(samples):
+            first, last = samples["t"][[0, -1]].tolist()
+            self._put(stream, encoded(samples), len(samples), first, last)
 
     def _put(self, stream: int, payload: bytes | NDArray[Any], count: int,
              start: int, stop: int) -> None:
