@@ -20,7 +20,7 @@ gaps have several periods, which are then parts of the true one."""
 _MEASURED = 5
 """Pulses that tell a period."""
 _RECENT = 4096
-"""Pulses whose lines a clock gives: more than come within a packet."""
+"""Pulses that a clock keeps beside those it is given: events may be older than they."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,8 +136,8 @@ class PulseClock:
     """The angle of an analyser with `triggers` from its pulses as they come.
 
     A pulse that comes too early is left out, and one that is missing is counted, so
-    that neither has an effect beyond its turn.  `kept` has the time of each pulse that
-    fits, us, and twice the angle then.
+    that neither has an effect beyond its turn.  `kept` has the times of the last pulses
+    that fit, us, and twice the angle then.
     """
 
     def __init__(self, analyser: TurningAnalyser) -> None:
@@ -154,6 +154,7 @@ class PulseClock:
 
     def add(self, pulses_us: ArrayLike) -> None:
         """Add the times of pulses, increasing, not before those added earlier."""
+        del self.kept[:-_RECENT]
         for t in np.asarray(pulses_us, np.float64).ravel().tolist():
             self._recent.append(t)
             if not self.kept:
@@ -165,12 +166,17 @@ class PulseClock:
                     self._period is None and len(self._recent) == _MEASURED):
                 self._measure()
 
+    @property
+    def known(self) -> bool:
+        """Whether the speed is known."""
+        return self._nominal is not None or len(self.kept) > 1
+
     def segments(self) -> NDArray[np.float64]:
         """Return lines as `TurningAnalyser.segments` does, each from earlier pulses.
 
         The speed after a pulse is that before it, as a later pulse is not known then.
         """
-        t, a = np.array(self.kept[-_RECENT:]).reshape(-1, 2).T
+        t, a = np.array(self.kept).reshape(-1, 2).T
         if len(t) < 2:
             first = self.kept[0] if self.kept else (0.0, self._phase)
             return np.array([[*first, self._step / (self._nominal or 100_000.0)]])

@@ -1,4 +1,5 @@
 """A turning analyser: its angle from pulses, and the regression of events on it."""
+import itertools
 import math
 import pickle
 
@@ -465,12 +466,41 @@ def test_a_slow_start_spoils_no_thresholds():
     assert np.mean(error < image.sigma_dolp[0, ::16]) > 0.55
 
 
-def test_a_stream_learns_after_its_first_pulses():
-    """Until the second one the speed is not known, and sums of rows are wrong."""
-    scene = Still(24, seconds=2.5, degree=(0.35, 0.95), step=2e-4)
-    image, _ = last_image(as_recording(scene, 50_000 * np.arange(51)), scene,
-                          causal=True, analyser=TurningAnalyser(triggers=1))
-    assert rms(image.dolp[0, ::16] - scene.dolp) < 0.02
+@pytest.mark.parametrize(("hz", "n"), [(3, 1), (3, 12), (20, 1), (40, 1), (40, 12)])
+def test_a_stream_learns_from_its_first_pulses_on(hz, n):
+    """Before them the speed is not known; then window and estimates are as it says."""
+    scene = Still(24, hz=hz, seconds=40 / hz + 0.5, degree=(0.35, 0.95), step=1e-4)
+    times = np.arange(0, scene.stop_us, 1e6 / (hz * n))
+    clock = PulseClock(TurningAnalyser(triggers=n))
+    method = TurningRegression((1, 24), theta_on=0.23, theta_off=0.27, centred=False,
+                               segments=clock)
+    for start, stop in itertools.pairwise(range(0, scene.stop_us + 5000, 5000)):
+        clock.add(times[(times >= start) & (times < stop)])
+        t = scene.events["t"]
+        method.add_events(scene.events[(t >= start) & (t < stop)])
+    assert method.half_us == pytest.approx(5e5 / hz, rel=1e-3)
+    found = method.polarization(scene.stop_us)
+    angle, degree = errors(found, scene.dolp, scene.aop)
+    assert rms(np.rad2deg(angle)) < 0.3
+    assert rms(degree) < 0.02
+    assert np.mean(np.abs(degree) < found.sigmas[1, 0]) > 0.55
+
+
+def test_a_clock_keeps_the_last_pulses_only():
+    clock = PulseClock(TurningAnalyser(triggers=12))
+    for start in range(0, 100_000, 1000):
+        clock.add(4000 * np.arange(start, start + 1000))
+    assert len(clock.kept) < 6000
+    assert turned(clock.segments(), 400e6) == pytest.approx(100_000 / 12)
+
+
+def test_the_thresholds_of_a_short_file_are_learned_from_all_of_it():
+    short = Still(40, seconds=0.25, degree=(0.35, 0.95))    # ten half turns
+    image, _ = last_image(as_recording(short), short,
+                          analyser=TurningAnalyser(rpm=1200))
+    error = np.abs(image.dolp[0, ::16] - short.dolp)
+    assert rms(error) < 0.012
+    assert np.mean(error < image.sigma_dolp[0, ::16]) > 0.55
 
 
 def test_fuse_finds_the_speed_up_to_the_zero(few):

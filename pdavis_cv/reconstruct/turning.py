@@ -94,7 +94,9 @@ class TurningRegression:
     Attributes
     ----------
     half_us : float
-        Median time of half a turn, us.
+        Median time of half a turn, us; with a clock that after its last pulse.
+    segments : ndarray of float64, shape (M, 3)
+        Twice the angle of the analyser, as far as it is known.
     lookahead_us : int
         Time after an image whose events it uses.
     common_sigma : float
@@ -120,13 +122,10 @@ class TurningRegression:
         self._half_turns = positive("half_turns", half_turns)
         self._sigma = positive("threshold_sigma", threshold_sigma)
         self._learn = bool(learn)
-        self._given = segments if isinstance(segments, PulseClock) else np.array(
-            segments, np.float64).reshape(-1, 3)
-        rate = float(np.median(np.abs(self.segments[:, 2])))
-        if not rate > 0:
-            raise ValueError("segments must hold rates that are not 0")
-        self.half_us = 2 * math.pi / rate
-        self._tau = self.half_us * self._half_turns / 2
+        self._pulses = segments if isinstance(segments, PulseClock) else None
+        self.segments = np.array(segments, np.float64).reshape(
+            -1, 3) if self._pulses is None else self._pulses.segments()
+        self._turn_at(self.segments[:, 2])
         self.lookahead_us = round(self._tau) if centred else 0
         self._late = _LATE[not centred]
         self._clock = StreamClock(self.shape)
@@ -142,15 +141,16 @@ class TurningRegression:
         # ln of the mean threshold, ON and OFF.
         self._mean = self._log_theta.mean((1, 2), np.float64)
         self.common_sigma, self._counts = self._sigma, np.zeros(2, np.int64)
-        self._start: int | None = None
-        self._looks = 0
+        # Time of the next estimate of the thresholds, and half turns before it.
+        self._look_us, self._wait = -math.inf, _LOOKS[0]
         self._dc = np.zeros(self.shape, np.float32)
 
-    @property
-    def segments(self) -> NDArray[np.float64]:
-        """Twice the angle of the analyser, as far as it is known."""
-        return self._given.segments() if isinstance(
-            self._given, PulseClock) else self._given
+    def _turn_at(self, rates: NDArray[np.float64]) -> None:
+        rate = float(np.median(np.abs(rates)))
+        if not rate > 0:
+            raise ValueError("segments must hold rates that are not 0")
+        self.half_us = 2 * math.pi / rate
+        self._tau = self.half_us * self._half_turns / 2
 
     @property
     def thresholds(self) -> Plane:
@@ -162,16 +162,23 @@ class TurningRegression:
     def add_events(self, events: Events) -> None:
         """Add rows to the pixels' sums, of events not before those added earlier."""
         events = timed_events(events)
-        if self._start is None and len(events):
-            self._start = int(events["t"][0])
+        if self._pulses is not None:
+            self.segments = self._pulses.segments()
+            self._turn_at(self.segments[-1:, 2])
+            if not self._pulses.known:      # events at a wrong angle tell wrong light
+                self._clock.check_events(events)
+                return
+        if self._look_us < 0 and len(events):
+            self._look_us = float(events["t"][0]) + self._wait * self.half_us
         while self._learn and len(events) and events["t"][-1] >= self._look_us:
             look = self._look_us
             first = int(np.searchsorted(events["t"], look))
             self._take(events[:first])
             events = events[first:]
             # Times at which there is nothing new, perhaps of years, are passed.
-            silence = (float(events["t"][0]) - look) / self.half_us
-            self._looks += 1 + int(silence // _LOOKS[1])
+            silence = max(float(events["t"][0]) - look, 0) / self.half_us
+            self._look_us += (1 + silence // self._wait) * self._wait * self.half_us
+            self._wait = min(2 * self._wait, _LOOKS[1])
             for _ in range(_AGAIN):     # as steps are bounded, and mean and pixels one
                 if self._look() < _COMMON:
                     break
@@ -186,14 +193,6 @@ class TurningRegression:
         risen = int(np.count_nonzero(events["p"][:taken]))
         self._counts += risen, taken - risen
         self._clock.took(events, taken)
-
-    @property
-    def _look_us(self) -> float:
-        """Time of the next estimate of the thresholds."""
-        first, most = _LOOKS
-        last: int = min(self._looks, int(math.log2(most / first)))
-        half_turns = float(first * 2**last + most * (self._looks - last))
-        return (self._start or 0) + half_turns * self.half_us
 
     def _look(self) -> float:
         """Estimate all thresholds from what the pixels have seen.
