@@ -124,12 +124,17 @@ class TurningAnalyser:
         pulses_us : array_like of int, optional
             As for `segments`.
         """
-        t, twice, rate = self.segments(pulses_us).T
-        middle = np.asarray(mid_us, np.float64)
-        at = np.maximum(np.searchsorted(t, middle, side="right") - 1, 0)
-        return AnalyserSteps(
-            tuple((twice[at] + rate[at] * (middle - t[at])) / 2),
-            float(rate[at].mean()) * exposure_us / 2)
+        lines, middle = self.segments(pulses_us), np.asarray(mid_us, np.float64)
+        turn = turned(lines, middle + exposure_us / 2) - turned(
+            lines, middle - exposure_us / 2)
+        return AnalyserSteps(tuple(turned(lines, middle) / 2), float(turn.mean()) / 2)
+
+
+def turned(segments: NDArray[np.float64], t: ArrayLike) -> NDArray[np.float64]:
+    """Return twice the angle at times, from `TurningAnalyser.segments`."""
+    at, twice, rate = segments.T
+    k = np.maximum(np.searchsorted(at, t, side="right") - 1, 0)
+    return np.asarray(twice[k] + rate[k] * (np.asarray(t) - at[k]))
 
 
 class PulseClock:
@@ -166,20 +171,16 @@ class PulseClock:
                     self._period is None and len(self._recent) == _MEASURED):
                 self._measure()
 
-    @property
-    def known(self) -> bool:
-        """Whether the speed is known."""
-        return self._nominal is not None or len(self.kept) > 1
-
     def segments(self) -> NDArray[np.float64]:
         """Return lines as `TurningAnalyser.segments` does, each from earlier pulses.
 
         The speed after a pulse is that before it, as a later pulse is not known then.
+        Of one whose speed is not known the rate is 0.
         """
         t, a = np.array(self.kept).reshape(-1, 2).T
         if len(t) < 2:
             first = self.kept[0] if self.kept else (0.0, self._phase)
-            return np.array([[*first, self._step / (self._nominal or 100_000.0)]])
+            return np.array([[*first, self._step / (self._nominal or math.inf)]])
         rate = np.diff(a) / np.diff(t)
         return np.stack([t, a, np.append(rate[:1], rate)], 1)
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.recording.base import Recording
+from pdavis_cv.turning import turned
 
 _LOWEST_HZ, _HIGHEST_HZ = 8.0, 130.0
 """Of the modulation, which has two periods per turn."""
@@ -27,8 +28,13 @@ _LOBE_HZ = 2.25
 _GAIN, _DAMPING, _SLOWING = 0.784, 0.384, 0.064
 """Parts of a phase error by which phase, rate, and its change in a period follow it:
 those of a parabola through phases of which older ones fade by .6 (Morrison 1969)."""
-_BESIDE = 6
-"""Phases to either side on whose parabola one is moved: motors gain speed steadily."""
+_BESIDE, _MISFIT = (6, 2), 8.0
+"""Phases to either side on whose parabola one is moved, as motors gain speed steadily;
+fewer where a square error of so many medians says that a motor begins or ends to."""
+_LINES = 8      # from one phase to the next, whose rate may change
+_PLACES = 0.5, 0.75, 0.25, 0.9, 0.1
+"""Parts of a recording at which a modulation is looked for: where a motor gains speed,
+there may be no line."""
 _KEPT = 0.9
 """Part of the mean of past phases that remains when a new one is added to it."""
 
@@ -50,22 +56,29 @@ def found_segments(recording: Recording, phase: float = 0.0) -> NDArray[np.float
     stands out, that is a ValueError.
     """
     t, block, sign = _events(recording)
-    middle = (t[0] + t[-1]) / 2 if len(t) else 0.0
-    near = np.abs(t - middle) < _WINDOW_S / 2
-    hz = _strongest(t[near] - middle + _WINDOW_S / 2, block[near], sign[near])
-    if hz is None:
+    for part in _PLACES:
+        middle = t[0] + part * (t[-1] - t[0]) if len(t) else 0.0
+        near = np.abs(t - middle) < _WINDOW_S / 2
+        hz = _strongest(t[near] - middle + _WINDOW_S / 2, block[near], sign[near])
+        if hz is not None:
+            break
+    else:
         raise ValueError("recording must show a modulation of 8 to 130 Hz by a turning "
                          "analyser; state its rpm, or triggers")
-    later = _followed(t - middle, block, sign, hz)
-    earlier = _followed(middle - t[::-1], block[::-1], sign[::-1], hz)
-    knots = np.array([(-at, -angle) for at, angle in earlier[:0:-1]] + later)
-    smooth = [np.polyfit(knots[near, 0] - knots[k, 0], knots[near, 1], 2)[-1]
-              for k in range(len(knots))
-              for near in [slice(max(k - _BESIDE, 0), k + _BESIDE + 1)]]
-    at, angle = (knots[:, 0] + middle) * 1e6, np.array(smooth)
-    rate = np.diff(angle) / np.diff(at)
-    begin = angle[0] + rate[0] * (t[0] * 1e6 - at[0])
-    return np.stack([at, angle - begin + 2 * phase, np.append(rate, rate[-1])], 1)
+    rate = 2 * math.pi * hz
+    lines = np.array([[at, rate * at, rate] for at in (t[0] - middle, t[-1] - middle)])
+    for _ in range(2):      # once more with waves of a speed that is even
+        # The time at which an analyser that turns steadily would be there.
+        even = np.maximum.accumulate(turned(lines, t - middle)) / rate
+        later = _followed(even, block, sign, hz)
+        earlier = _followed(-even[::-1], block[::-1], sign[::-1], hz)
+        knots = np.array([(-at, -angle) for at, angle in earlier[:0:-1]] + later)
+        knots[:, 0] = np.interp(
+            rate * knots[:, 0], np.maximum.accumulate(lines[:, 1]), lines[:, 0])
+        lines = _lines(knots[np.append(True, np.diff(knots[:, 0]) > 0.5 / _HIGHEST_HZ)])
+    lines[:, 1] += 2 * phase - turned(lines, t[0] - middle)
+    lines[:, 0] += middle
+    return np.asarray(lines * [1e6, 1, 1e-6])
 
 
 def _events(
@@ -91,6 +104,10 @@ def _events(
             break
     t, pixel, sign = np.concatenate(parts, 1)
     block = pixel // width // _BLOCK * -(-width // _BLOCK) + pixel % width // _BLOCK
+    # Between two events light changed by a threshold: the sign of the later is of both.
+    order = np.argsort(pixel, kind="stable")
+    later, same = sign[order[1:]], np.diff(pixel[order]) == 0
+    sign[order[:-1]] += later * same
     return t / 1e6, block.astype(np.intp), sign.astype(np.float64)
 
 
@@ -115,13 +132,37 @@ def _strongest(
     best = int(np.argmax(np.where(wanted, power, 0)))
     around = (hz > hz[best] / 1.6) & (hz < hz[best] * 1.6) & (
         np.abs(hz - hz[best]) > _LOBE_HZ)
-    if not power[best] > max(_CLEAR * np.median(power[wanted]),
-                             _APART * np.max(power[around], initial=0.0)):
+    # That of a slower modulation has a second harmonic.
+    if not power[best] > max(
+            _CLEAR * np.median(power[wanted]), power[best // 2],
+            _APART * np.max(power[around], initial=0.0)):
         return None
     left, top, right = power[best - 1:best + 2]
     bend = left - 2 * top + right
     shift = (left - right) / (2 * bend) if bend else 0.0
     return float(hz[best] + shift * (hz[1] - hz[0]))
+
+
+def _lines(knots: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return phases at times, (N, 2), smoothed, as lines from one to the next."""
+    from scipy.interpolate import CubicSpline
+    at, angle = knots.T
+    more, n = np.concatenate((2 * at[:1] - at[1], at, 2 * at[-1:] - at[-2])), len(at)
+
+    def parabola(k: int, beside: int) -> tuple[float, float]:
+        first = max(min(k - 1 - beside, n - 2 * beside - 1), 0)
+        near = slice(first, first + 2 * beside + 1)
+        fit, left, *_ = np.polyfit(at[near] - more[k], angle[near], 2, full=True)
+        return fit[-1], left.sum()
+
+    smooth, left = np.array([parabola(k, _BESIDE[0]) for k in range(n + 2)]).T
+    for k in np.flatnonzero(left > _MISFIT * np.median(left)).tolist():
+        smooth[k] = parabola(k, _BESIDE[1])[0]
+    part = np.arange(_LINES * (n + 1) + 1) / _LINES
+    fine = np.interp(part, np.arange(n + 2), more)
+    angle = CubicSpline(more, smooth)(fine)
+    rate = np.diff(angle) / np.diff(fine)
+    return np.stack([fine, angle, np.append(rate, rate[-1])], 1)
 
 
 def _followed(
@@ -130,28 +171,30 @@ def _followed(
 ) -> list[tuple[float, float]]:
     """Follow the phase of the modulation from time 0 on; return times and phases."""
     rate, phase, at, gain = 2 * math.pi * hz, 0.0, 0.0, 0.0
-    knots, count = [(0.0, 0.0)], int(block.max()) + 1
+    knots, count, span = [(0.0, 0.0)], int(block.max()) + 1, 1 / hz
 
     def turned(span: Any) -> Any:
-        return phase + (rate + gain * span / 2) * span
+        return (rate + gain * span / 2) * span
 
-    def wave(start: float, stop: float) -> NDArray[np.complex128]:
-        few = slice(*np.searchsorted(t, (start, stop)))
+    def wave() -> NDArray[np.complex128]:
+        """Return the wave of each block in two cycles, faded in and out."""
+        few = slice(*np.searchsorted(t, (at - span, at + span)))
+        angle = turned(t[few] - at)
+        fade = np.cos(np.clip(angle / 4, -math.pi / 2, math.pi / 2)) ** 2
         out = np.zeros(count, np.complex128)
-        np.add.at(out, block[few], sign[few] * np.exp(-1j * turned(t[few] - at)))
+        np.add.at(out, block[few], sign[few] * fade * np.exp(-1j * (phase + angle)))
         return out
 
-    # The cycle around time 0, which both directions share.
-    template = wave(-0.5 / hz, 0.5 / hz)
-    # A part of a cycle has another phase than the template.
-    while at + (span := 4 * math.pi / (rate + math.sqrt(max(
-            rate**2 + 4 * math.pi * gain, 0)))) <= t[-1] or len(knots) < 2:
-        found = wave(at, at + span)
+    template = wave()   # which both directions share
+    while True:
+        span = 4 * math.pi / (rate + math.sqrt(max(rate**2 + 4 * math.pi * gain, 0)))
+        at, phase, rate = at + span, phase + turned(span), rate + gain * span
+        if at + span > t[-1] and len(knots) > 1:
+            return knots
+        found = wave()
         error = float(np.angle(np.vdot(template, found)))
         template = _KEPT * template + found * np.exp(-1j * error)
-        knots.append((at + span / 2, turned(span / 2) + error))
-        at, phase = at + span, turned(span) + _GAIN * error
-        rate += gain * span + _DAMPING * error / span
-        rate = max(rate, math.pi * _LOWEST_HZ / 4)
+        knots.append((at, phase + error))
+        phase += _GAIN * error
+        rate = max(rate + _DAMPING * error / span, math.pi * _LOWEST_HZ / 4)
         gain += _SLOWING * error / span**2
-    return knots

@@ -15,7 +15,7 @@ from pdavis_cv.events import checked_time, timed_events
 from pdavis_cv.reconstruct.frames import log_samples
 from pdavis_cv.reconstruct.stream_clock import StreamClock
 from pdavis_cv.recording.base import ApsFrame
-from pdavis_cv.turning import PulseClock
+from pdavis_cv.turning import PulseClock, turned
 
 Plane = NDArray[np.float32]
 
@@ -82,7 +82,7 @@ class TurningRegression:
         Window in half turns.  Rows fade with half of it as their time constant, which
         is as noisy and as old as a window with edges.
     centred : bool
-        Use as much after the time of an image as before it.
+        Use as much after the time of an image as before it; not with a clock.
     learn : bool
         Estimate each pixel's thresholds: their ratio, and from strongly polarized light
         their size, which the shape of the curve tells.
@@ -126,6 +126,9 @@ class TurningRegression:
         self.segments = np.array(segments, np.float64).reshape(
             -1, 3) if self._pulses is None else self._pulses.segments()
         self._turn_at(self.segments[:, 2])
+        if self._pulses is None and not math.isfinite(self.half_us):
+            raise ValueError("segments must hold rates that are not 0")
+        centred = centred and self._pulses is None
         self.lookahead_us = round(self._tau) if centred else 0
         self._late = _LATE[not centred]
         self._clock = StreamClock(self.shape)
@@ -147,9 +150,7 @@ class TurningRegression:
 
     def _turn_at(self, rates: NDArray[np.float64]) -> None:
         rate = float(np.median(np.abs(rates)))
-        if not rate > 0:
-            raise ValueError("segments must hold rates that are not 0")
-        self.half_us = 2 * math.pi / rate
+        self.half_us = 2 * math.pi / rate if rate > 0 else math.inf
         self._tau = self.half_us * self._half_turns / 2
 
     @property
@@ -165,7 +166,7 @@ class TurningRegression:
         if self._pulses is not None:
             self.segments = self._pulses.segments()
             self._turn_at(self.segments[-1:, 2])
-            if not self._pulses.known:      # events at a wrong angle tell wrong light
+            if math.isinf(self.half_us):    # events at a wrong angle tell wrong light
                 self._clock.check_events(events)
                 return
         if self._look_us < 0 and len(events):
@@ -240,11 +241,9 @@ class TurningRegression:
         """Take the level of S0 from a frame."""
         mid = self._clock.check_frame(frame)
         log, valid = log_samples(frame)
-        segment = self.segments[max(int(np.searchsorted(
-            self.segments[:, 0], mid, "right")) - 1, 0)]
-        angle = segment[1] + segment[2] * (mid - segment[0])
-        seen = float(np.sinc(
-            segment[2] * (frame.exposure_end_us - frame.exposure_start_us) / math.tau))
+        begin, angle, end = turned(self.segments, np.array(
+            [frame.exposure_start_us, mid, frame.exposure_end_us]))
+        seen = float(np.sinc((end - begin) / math.tau))
         now = self._read(mid)
         s0 = now.quad[0] + now.quad[2]
         q1 = (now.quad[0] - now.quad[2]) / s0
