@@ -5,6 +5,7 @@ import pytest
 
 import pdavis_cv
 from pdavis_cv import AnalyserSteps, RecordingError, TurningAnalyser, _kernels, fuse
+from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.tools.main import main
 
 DEGREES = (0, 30, 60, 90, 120, 150, 10)
@@ -198,3 +199,10 @@ def test_the_command_line_takes_names_and_says_what_is_wrong(folder, capsys):
     (folder / "angles.txt").write_text("pol_000.png 0\n")
     with pytest.raises((ValueError, RecordingError), match=r"of 'pol_010\.png'"):
         pdavis_cv.open_recording(files, analyser_steps=str(folder / "angles.txt"))
+
+
+def test_images_without_events_are_not_of_a_turning_analyser():
+    recording = pdavis_cv.recording_from_arrays(np.zeros(0, pdavis_cv.EVENT_DTYPE), [
+        ApsFrame(np.full((4, 4), 9, np.float32), 0, 10)], sensor_size=(4, 4))
+    with pytest.raises(ValueError, match="must have events where analyser turns"):
+        fuse(recording, analyser=TurningAnalyser(rpm=600))

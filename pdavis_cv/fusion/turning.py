@@ -58,6 +58,9 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
             if getattr(options, name) not in (None, getattr(default, name)):
                 raise ValueError(f"analyser excludes {name}")
         assert options.analyser is not None
+        if recording.info.event_count == 0:
+            raise ValueError("recording must have events where analyser turns (of "
+                             "images: analyser_steps of open_recording)")
         self.recording, self._options = recording, options
         self.needs = Needs(frames=recording.info.frame_count != 0)
         self._analyser: TurningAnalyser = options.analyser
