@@ -15,8 +15,7 @@ from .figure import FIGURES as FIGURES, write_figure as write_figure
 from .files import write_json as write_json
 from .hdf5 import Hdf5File as Hdf5File
 from .labelled import to_xarray as to_xarray
-from .npy import NpyFile as NpyFile
-from .npz import NpzFile as NpzFile
+from .npy import NpyFile as NpyFile, NpzFile as NpzFile
 from .ometiff import OmeTiffFile as OmeTiffFile, write_maps as write_maps
 from .omezarr import OmeZarrFile as OmeZarrFile
 from .stacks import StackFile as StackFile

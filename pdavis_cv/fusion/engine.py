@@ -33,12 +33,11 @@ from pdavis_cv.fusion.camera import (
 from pdavis_cv.fusion.feed import Feed
 from pdavis_cv.fusion.grid import grid_count, grid_us
 from pdavis_cv.fusion.images import ImageMaker
-from pdavis_cv.fusion.learning import Learning
+from pdavis_cv.fusion.learning import Learning, Tuning
 from pdavis_cv.fusion.online_learning import OnlineLearning
 from pdavis_cv.fusion.options import FusionOptions, check_times_fit
 from pdavis_cv.fusion.snapshot import BEFORE, FusionSnapshot
 from pdavis_cv.fusion.states import ArrivalState, InOrderState, make_state
-from pdavis_cv.fusion.tuning import Tuning
 from pdavis_cv.fusion.window import checked_roi, window_of
 from pdavis_cv.mosaic import REACH, check_method
 from pdavis_cv.polarimetry import PolarFrame

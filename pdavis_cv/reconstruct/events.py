@@ -1,9 +1,10 @@
-"""The ``events`` method: high-passed sum of events."""
+"""The ``events`` method: high-passed sum of events, or the channels' redundancy."""
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,7 @@ from pdavis_cv.events import timed_events
 from pdavis_cv.reconstruct.aop_events import MOST_RADIUS
 from pdavis_cv.reconstruct.base import Estimate, Needs, Reconstructor
 from pdavis_cv.reconstruct.cf import CELL_DTYPE
+from pdavis_cv.reconstruct.redundancy import EventRedundancy
 from pdavis_cv.reconstruct.stream_clock import StreamClock, steps
 from pdavis_cv.recording.base import ApsFrame
 
@@ -176,3 +178,55 @@ def _shifted(by: int, side: int) -> tuple[slice, slice]:
     """Return the slices of all i, and of i + by, that both lie in 0..side - 1."""
     lo, hi = min(max(-by, 0), side), max(side - max(by, 0), 0)
     return slice(lo, max(hi, lo)), slice(lo + by, max(hi, lo) + by)
+
+
+_KINDS: dict[str, Any] = {"mean": EventHighPass, "redundancy": EventRedundancy}
+_ONLY = {"mean": ("radius", "hold"),
+         "redundancy": ("lookahead_us", "bandwidth", "ratio_sigma")}
+
+
+def from_events(
+    shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
+    offsets: str = "mean", cutoff_hz: float = 0.5, radius: int | None = None,
+    hold: bool | None = None, lookahead_us: int | None = None,
+    bandwidth: tuple[float, float] | None = None, ratio_sigma: float | None = None,
+    response: ArrayLike | None = None,
+) -> Reconstructor:
+    """Make an EventHighPass, or an EventRedundancy.
+
+    Parameters
+    ----------
+    shape, theta_on, theta_off, cutoff_hz
+        As for both classes.
+    offsets : {"mean", "redundancy"}
+        "mean": the channels' means are taken to be equal, as in the paper;
+        "redundancy": they follow from I0 + I90 = I45 + I135, and DoLP with them.
+    radius, hold
+        As for `EventHighPass`, with its defaults.
+    lookahead_us, bandwidth, ratio_sigma
+        As for `EventRedundancy`, with its defaults.
+    response
+        As for `EventRedundancy`.
+
+    Raises
+    ------
+    TypeError
+        If a parameter of the other class is given.
+    ValueError
+        If ``offsets`` is another word, or a parameter out of range.
+    """
+    if offsets not in _KINDS:
+        raise ValueError(f"offsets must be 'mean' or 'redundancy', got {offsets!r}")
+    given: dict[str, Any] = {
+        "radius": radius, "hold": hold, "lookahead_us": lookahead_us,
+        "bandwidth": bandwidth,
+        "ratio_sigma": ratio_sigma}
+    given = {name: value for name, value in given.items() if value is not None}
+    for name in given:
+        if name not in _ONLY[offsets]:
+            raise TypeError(f"{name} has no meaning with offsets={offsets!r}")
+    if offsets == "redundancy":
+        given["response"] = response
+    made: Reconstructor = _KINDS[offsets](
+        shape, theta_on=theta_on, theta_off=theta_off, cutoff_hz=cutoff_hz, **given)
+    return made

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 METHODS: Registry[Factory] = Registry("method", {
     "frames": "pdavis_cv.reconstruct.frames:FrameHold",
-    "events": "pdavis_cv.reconstruct.from_events:from_events",
+    "events": "pdavis_cv.reconstruct.events:from_events",
     "cf": "pdavis_cv.reconstruct.cf:ComplementaryFilter",
     "kalman": "pdavis_cv.reconstruct.kalman:KalmanFilter",
     "firenet": "pdavis_cv.reconstruct.firenet:FireNet",

@@ -31,7 +31,6 @@ from pdavis_cv.recording.base import (
 )
 from pdavis_cv.recording.facts import ASSUMED, FILE, Fact, stated
 from pdavis_cv.recording.files import microseconds
-from pdavis_cv.recording.hdf5.separate import SeparateImages
 from pdavis_cv.recording.options import SourceOptions
 from pdavis_cv.recording.packetise import END_OF_TIME, Batch, cell_start
 from pdavis_cv.recording.prophesee import OTHER_TRIGGERS, ordered_triggers
@@ -98,7 +97,7 @@ class Hdf5Recording(PiecewiseRecording):
                 self._frames = self._dataset(self._file, "frame", 3)
                 images = self._member(self._file, "images")
                 if self._frames is None and isinstance(images, h5py.Group):
-                    self._frames = SeparateImages(images, self._dataset, self._member)
+                    self._frames = _SeparateImages(images, self._dataset, self._member)
                 return self._make_info(options)
         except _LostError as error:
             raise RecordingError(f"{path}: the file is damaged: {error}") from error
@@ -419,7 +418,7 @@ class Hdf5Recording(PiecewiseRecording):
             return []
         try:
             with _reading():
-                if isinstance(self._frames, SeparateImages):
+                if isinstance(self._frames, _SeparateImages):
                     raw = self._frames.times
                 else:
                     stamps = self._dataset(self._file, "frame_ts", 1)
@@ -496,3 +495,32 @@ class _Place(NamedTuple):
     start: int
     end: int
     ready: int
+
+
+class _SeparateImages:
+    """The images of rpg's layout, which are separate datasets, as one stack.
+
+    They are in the group ``/images``; those without a numeric ``timestamp`` are left
+    out. `dataset` returns a checked dataset of numbers for (group, name, dimensions),
+    `member` what lies in this file for (group, name).
+    """
+
+    def __init__(self, group: Any, dataset: Callable[[Any, str, int], Any],
+                 member: Callable[[Any, str], Any]) -> None:
+        images = {name: member(group, name) for name in group}
+        found = sorted((float(image.attrs["timestamp"]), name) for name, image in
+                       images.items() if "timestamp" in image.attrs)
+        self._group, self._dataset = group, dataset
+        self._names = [name for _, name in found]
+        self.times = np.array([t for t, _ in found], np.float64)
+        first = dataset(group, self._names[0], 2).shape if found else (0, 0)
+        self.shape = (len(found), *first)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __getitem__(self, k: int) -> NDArray[Any]:
+        image: NDArray[Any] = self._dataset(self._group, self._names[k], 2)[()]
+        if image.shape != self.shape[1:]:
+            raise ValueError(f"an image of shape {image.shape}")
+        return image
