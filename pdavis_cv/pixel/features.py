@@ -39,7 +39,7 @@ def further_weights(
     them are taken that are not worse than the best by a standard error over pairs.
     """
     number = int(pairs.pair.max(initial=-1)) + 1
-    if number < 2 * FOLDS:
+    if number < FOLDS:
         return model
     rows = linearized(data, pairs, model, gains, shift_us, lookahead_us)
     around = around_rows(data, pairs, model, shift_us, lookahead_us)
