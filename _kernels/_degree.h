@@ -3,7 +3,6 @@
 #define PDAVIS_CV_DEGREE_H
 
 #include "_channels.h"
-#include "_math.h"
 
 /* Macropixels that are computed together. */
 #define PDAVIS_CELLS 64
@@ -21,11 +20,11 @@
 #define DEGREE_MOST 2.0f
 #define LIGHT_LEAST 0.05f
 
-/* Macropixels: log intensity and its variance by place; degree that lasts, its variance,
-   its share (0: not used); analyser: by place S0, S1 and S2 per intensity, the responses
+/* Macropixels: light and the variance of its logarithm by place; degree that lasts, its variance,
+   its share; analyser: by place S0, S1 and S2 per intensity, the responses
    to S1 and S2, and the null vector. */
 typedef struct {
-    float log[4][PDAVIS_CELLS], variance[4][PDAVIS_CELLS];
+    float light[4][PDAVIS_CELLS], variance[4][PDAVIS_CELLS];
     float degree[PDAVIS_CELLS], spread[PDAVIS_CELLS], share[PDAVIS_CELLS];
     float analyser[PDAVIS_ANALYSER][PDAVIS_CELLS];
 } cells_t;
@@ -70,20 +69,19 @@ PDAVIS_INLINE void from_places(
     }
 }
 
-/* Change the log intensities of n macropixels, in proportion to S1 and S2, so that the
+/* Change the light of n macropixels, in proportion to S1 and S2, so that the
    degree of polarization becomes the mean of its own and the one that lasts, weighted by
-   their inverse variances.  Those without a share stay as they are. */
+   their inverse variances. */
 PDAVIS_CLONES PDAVIS_UNUSED static void weigh_degree(cells_t *restrict g, ptrdiff_t n)
 {
-    float light[4][PDAVIS_CELLS], power[4][PDAVIS_CELLS], more[PDAVIS_CELLS];
+    float power[4][PDAVIS_CELLS], more[PDAVIS_CELLS];
     float s1_of[PDAVIS_CELLS], s2_of[PDAVIS_CELLS];
     ptrdiff_t i;
     int k;
     /* Three short loops: a long one waits for its own results. */
     for (k = 0; k < 4; k++)
         for (i = 0; i < n; i++) {
-            float q = pd_exp(g->log[k][i]);
-            light[k][i] = q;
+            float q = g->light[k][i];
             power[k][i] = g->variance[k][i] * q * q;
         }
     for (i = 0; i < n; i++) {
@@ -91,13 +89,13 @@ PDAVIS_CLONES PDAVIS_UNUSED static void weigh_degree(cells_t *restrict g, ptrdif
         float length, per_length, per_s0, own, u1, u2, apart, per_sum, weight, factor;
         float s1 = 0.0f, s2 = 0.0f;
         for (k = 0; k < 4; k++) {
-            gap += PDAVIS_NULL * light[k][i];
+            gap += PDAVIS_NULL * g->light[k][i];
             total += PDAVIS_NULL * PDAVIS_NULL * power[k][i];
         }
         total = 1.0f / total;       /* divisions take most of the time */
         gap *= total;
         for (k = 0; k < 4; k++) {       /* as `reconcile` */
-            float q = light[k][i] - power[k][i] * PDAVIS_NULL * gap;
+            float q = g->light[k][i] - power[k][i] * PDAVIS_NULL * gap;
             s0 += PDAVIS_S(0) * q;
             s1 += PDAVIS_S(1) * q;
             s2 += PDAVIS_S(2) * q;
@@ -129,11 +127,9 @@ PDAVIS_CLONES PDAVIS_UNUSED static void weigh_degree(cells_t *restrict g, ptrdif
     }
     for (k = 0; k < 4; k++)
         for (i = 0; i < n; i++) {
-            float q = light[k][i]
-                + more[i] * (PDAVIS_A(1) * s1_of[i] + PDAVIS_A(2) * s2_of[i]);
-            float least = LIGHT_LEAST * light[k][i];
-            q = pd_log(q > least ? q : least);
-            g->log[k][i] = g->share[i] > 0.0f ? q : g->log[k][i];
+            float old = g->light[k][i], least = LIGHT_LEAST * old;
+            float q = old + more[i] * (PDAVIS_A(1) * s1_of[i] + PDAVIS_A(2) * s2_of[i]);
+            g->light[k][i] = q > least ? q : least;
         }
 }
 

@@ -1,6 +1,6 @@
 """The degree of polarization that lasts: docs/theory/kalman.md derives it."""
 from libc.stdint cimport uint8_t
-from libc.string cimport memchr, memcpy
+from libc.string cimport memchr
 
 from _kernels._model cimport check_given
 
@@ -9,7 +9,7 @@ cdef extern from "_degree.h" nogil:
         CELLS "PDAVIS_CELLS"
         ANALYSER "PDAVIS_ANALYSER"
     ctypedef struct cells_t:
-        float log[4][CELLS]
+        float light[4][CELLS]
         float variance[4][CELLS]
         float degree[CELLS]
         float spread[CELLS]
@@ -23,9 +23,6 @@ cdef extern from "_degree.h" nogil:
                      float*, float*)
     void weigh_degree(cells_t*, Py_ssize_t)
 
-cdef enum:
-    BRIDGED = 4     # most unused macropixels within a run: a run costs more than these
-
 cdef struct analyser_t:
     # Of macropixels; one: the same for all.
     Py_ssize_t size
@@ -37,7 +34,7 @@ cdef struct showing_t:
     Py_ssize_t rows, columns, w
     const float* lasting
     analyser_t analyser
-    float* log
+    float* light
     const float* variance
     const uint8_t* valid
 
@@ -92,7 +89,7 @@ cdef void empty(group_t* group) noexcept nogil:
 
 
 cdef void weigh_group(const showing_t* of, group_t* group) noexcept nogil:
-    """Weigh the degrees of a group and write its log intensities back."""
+    """Weigh the degrees of a group and write its light back."""
     cdef cells_t* cells = &group.cells
     cdef const run_t* run
     cdef float* upper
@@ -102,24 +99,20 @@ cdef void weigh_group(const showing_t* of, group_t* group) noexcept nogil:
     weigh_degree(cells, group.n)
     for i in range(group.count):
         run = &group.runs[i]
-        upper = of.log + run.corner
-        from_places(&cells.log[0][run.at], &cells.log[1][run.at],
-                    &cells.log[2][run.at], &cells.log[3][run.at], run.n, upper,
+        upper = of.light + run.corner
+        from_places(&cells.light[0][run.at], &cells.light[1][run.at],
+                    &cells.light[2][run.at], &cells.light[3][run.at], run.n, upper,
                     upper + of.w)
     empty(group)
 
 
 cdef void add_to_weigh(const showing_t* of, group_t* group, Py_ssize_t number,
-                       Py_ssize_t corner, const uint8_t* marks,
-                       Py_ssize_t n) noexcept nogil:
-    """Add n macropixels to a group with all that `weigh_degree` takes.
-
-    Those whose mark is 0 have no share.
-    """
+                       Py_ssize_t corner, Py_ssize_t n) noexcept nogil:
+    """Add n macropixels to a group with all that `weigh_degree` takes."""
     cdef Py_ssize_t i, size = of.rows * of.columns
     cdef cells_t* cells = &group.cells
     cdef const float* lasting = of.lasting + number
-    cdef const float* log = of.log + corner
+    cdef const float* light = of.light + corner
     cdef const float* variance = of.variance + corner
     cdef run_t* run = &group.runs[group.count]
     run.number, run.corner, run.at, run.n = number, corner, group.n, n
@@ -129,15 +122,16 @@ cdef void add_to_weigh(const showing_t* of, group_t* group, Py_ssize_t number,
         copy_analyser(&of.analyser, cells, run)
     elif not group.filled:
         fill_analyser(&of.analyser, group)
-    to_places(log, log + of.w, n, &cells.log[0][run.at], &cells.log[1][run.at],
-              &cells.log[2][run.at], &cells.log[3][run.at])
+    to_places(light, light + of.w, n, &cells.light[0][run.at],
+              &cells.light[1][run.at], &cells.light[2][run.at],
+              &cells.light[3][run.at])
     to_places(variance, variance + of.w, n, &cells.variance[0][run.at],
               &cells.variance[1][run.at], &cells.variance[2][run.at],
               &cells.variance[3][run.at])
     for i in range(n):
         cells.degree[run.at + i] = lasting[i]
         cells.spread[run.at + i] = lasting[size + i]
-        cells.share[run.at + i] = lasting[2 * size + i] * marks[i]
+        cells.share[run.at + i] = lasting[2 * size + i]
 
 
 cdef inline Py_ssize_t position(const uint8_t* marks, int mark, Py_ssize_t first,
@@ -156,7 +150,7 @@ cdef void weigh_rows(const showing_t* of, Py_ssize_t first,
     cdef const uint8_t* valid
     cdef group_t group
     cdef uint8_t[CELLS] marks
-    cdef Py_ssize_t y, part, x, n, begin, end, after, some, number, corner
+    cdef Py_ssize_t y, part, x, n, begin, end, some, number, corner
     empty(&group)
     group.filled = False
     for y in range(first, last):
@@ -170,58 +164,49 @@ cdef void weigh_rows(const showing_t* of, Py_ssize_t first,
             begin = position(marks, 1, 0, n)
             while begin < n:
                 end = position(marks, 0, begin, n)
-                after = position(marks, 1, end, n)
-                while after < n and after - end <= BRIDGED:
-                    end = position(marks, 0, after, n)
-                    after = position(marks, 1, end, n)
                 while begin < end:
                     some = min(end - begin, CELLS - group.n)
-                    add_to_weigh(of, &group, number + begin, corner + 2 * begin,
-                                 marks + begin, some)
+                    add_to_weigh(of, &group, number + begin, corner + 2 * begin, some)
                     begin += some
                     if group.n == CELLS:
                         weigh_group(of, &group)
-                begin = after
+                begin = position(marks, 1, end, n)
     weigh_group(of, &group)
 
 
 def lasting_degree(const float[:, :, ::1] lasting not None,
                    const float[:, :, ::1] analyser not None, shown not None,
-                   rows not None, float[:, ::1] out not None):
+                   rows not None):
     """Weigh the degree of polarization of an image against the one that lasts.
 
     lasting (3, h, w) is, by macropixel, that degree, its variance, and a factor on its
     weight (0: not used).  analyser, (24, h, w) or (24, 1, 1), has by place in the
     macropixel the solution for S0, S1 and S2, the responses to S1 and S2, and the null
-    vector.  shown is (log intensity, its variance, valid), of at least (2 h, 2 w).  out
-    receives the log intensities of the rows (first, last) of macropixels, of which
-    those that are valid at all four places change, and all rows below with the last of
-    them; it may be the same image.
+    vector.  shown is (intensity, variance of its logarithm, valid), of at least (2 h,
+    2 w).  The intensities of the rows (first, last) of macropixels change where all
+    four places are valid.
     """
-    cdef Py_ssize_t first, last, top, bottom
-    cdef const float[:, ::1] log, variance
+    cdef Py_ssize_t first, last
+    cdef float[:, ::1] light
+    cdef const float[:, ::1] variance
     cdef const uint8_t[:, ::1] valid
     cdef showing_t of
     check_given(shown)
-    log, variance, valid = shown
+    light, variance, valid = shown
     first, last = rows
-    of.rows, of.columns, of.w = lasting.shape[1], lasting.shape[2], log.shape[1]
+    of.rows, of.columns, of.w = lasting.shape[1], lasting.shape[2], light.shape[1]
     set_analyser(&of.analyser, analyser, of.rows, of.columns)
     if lasting.shape[0] != 3:
         raise ValueError("lasting_degree: lasting must be (3, h, w)")
-    if (log.shape[0] < 2 * of.rows or log.shape[1] < 2 * of.columns
-            or variance.shape[0] != log.shape[0] or variance.shape[1] != log.shape[1]
-            or valid.shape[0] != log.shape[0] or valid.shape[1] != log.shape[1]
-            or out.shape[0] != log.shape[0] or out.shape[1] != log.shape[1]):
+    if (light.shape[0] < 2 * of.rows or light.shape[1] < 2 * of.columns
+            or variance.shape[0] != light.shape[0] or variance.shape[1] != of.w
+            or valid.shape[0] != light.shape[0] or valid.shape[1] != of.w):
         raise ValueError("lasting_degree: shown must be images that hold (2 h, 2 w)")
     if first < 0 or last > of.rows:
         raise ValueError("lasting_degree: rows must lie in the image")
     if of.rows * of.columns == 0 or first >= last:
         return
     of.lasting = &lasting[0, 0, 0]
-    of.log, of.variance, of.valid = &out[0, 0], &variance[0, 0], &valid[0, 0]
-    top, bottom = 2 * first, log.shape[0] if last == of.rows else 2 * last
+    of.light, of.variance, of.valid = &light[0, 0], &variance[0, 0], &valid[0, 0]
     with nogil:
-        if <const float*>&out[0, 0] != &log[0, 0]:
-            memcpy(&out[top, 0], &log[top, 0], (bottom - top) * of.w * sizeof(float))
         weigh_rows(&of, first, last)

@@ -194,7 +194,6 @@ def lamp_push(
 def lamp_wave(sums: _F64, t: int, out: _F64) -> None: ...
 def lasting_degree(
     lasting: _F32, analyser: _F32, shown: tuple[_F32, _F32, _U8], rows: tuple[int, int],
-    out: _F32,
 ) -> None: ...
 def learning_around(
     events: NDArray[Any], start: _I64, places: _I32, times: _I64, known: _I64,

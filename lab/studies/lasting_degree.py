@@ -72,10 +72,8 @@ def texture_error(recording, truth) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def unweighed(degree, log, variance, valid, workers, out=None) -> None:
+def unweighed(degree, light, variance, valid, workers) -> None:
     """Replace `LastingDegree.weigh`: each image's own degree stays."""
-    if out is not None:
-        np.copyto(out, log)
 
 
 def study(quick: bool) -> list[Found]:

@@ -24,7 +24,7 @@ from pdavis_cv.mosaic import (
     scratch_rows,
 )
 from pdavis_cv.polarimetry import PolarFrame, adopted, adopted_colours, retimed
-from pdavis_cv.reconstruct.base import Estimate, Reconstructor
+from pdavis_cv.reconstruct.base import Reconstructor, Shown
 from pdavis_cv.sensor import Layout, Sensor
 
 _BILINEAR_NS = 1.4
@@ -83,7 +83,7 @@ class ImageMaker:
         read, quality = method.begin_read(t_us), method.quality
 
         def made() -> PolarFrame:
-            return self._made(method, read(), quality, spread, t_us=t_us,
+            return self._made(read(), quality, spread, t_us=t_us,
                               frame_us=frame_us, provenance=provenance)
 
         if shown is None:
@@ -92,23 +92,22 @@ class ImageMaker:
         return self._last[1]
 
     def _made(
-        self, method: Reconstructor, estimate: Estimate,
-        quality: NDArray[np.float32] | None, spread: NDArray[np.float32], **about: Any,
+        self, shown: Shown, quality: NDArray[np.float32] | None,
+        spread: NDArray[np.float32], **about: Any,
     ) -> PolarFrame:
-        intensity = method.intensity(estimate.log_intensity)
+        intensity, samples, usable = shown
         if self._gain is not None:
             intensity /= self._gain
         # The arrays are new and nobody else's: the image takes them over.
-        about |= {"valid": self._valid(estimate.valid),
+        about |= {"valid": self._valid(usable),
                   "extinction_ratio": self._ratio, "quality": self._quality(quality)}
         if self._layout.colours:
             return adopted_colours(self._cropped(demosaic_mosaic(
-                intensity, self._layout, self._demosaic, valid=estimate.valid)),
+                intensity, self._layout, self._demosaic, valid=usable)),
                 **about)
-        if estimate.variance is not None and self._whole:
-            return self._in_one_pass(intensity, estimate.variance, spread, about)
-        quad, variance = self._channels(
-            intensity, estimate.variance, estimate.valid, spread)
+        if samples is not None and self._whole:
+            return self._in_one_pass(intensity, samples, spread, about)
+        quad, variance = self._channels(intensity, samples, usable, spread)
         return adopted(
             quad, analyser=self._analyser, variance=variance, places_differ=True,
             reconciled=variance is not None, **about)

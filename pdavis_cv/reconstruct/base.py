@@ -44,6 +44,10 @@ class Estimate(NamedTuple):
     valid: NDArray[np.bool_]
 
 
+Shown = tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.bool_]]
+"""Intensity, as a new array, and what else an `Estimate` has."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Needs:
     """The inputs that a method needs, so that no caller depends on its name.
@@ -257,14 +261,14 @@ class Reconstructor(ABC):
             Receives ``log_intensity``.
         """
 
-    def begin_read(self, t_us: int) -> Callable[[], Estimate]:
-        """Begin a `read`; return a function that returns the estimate.
+    def begin_read(self, t_us: int) -> Callable[[], Shown]:
+        """Begin a `read`; return a function that returns what it shows.
 
         The function does what needs the state no more.  It may be called in another
         thread while the state goes on, and more than once.
         """
         estimate = self.read(t_us)
-        return lambda: estimate
+        return lambda: (self.intensity(estimate.log_intensity), *estimate[1:])
 
     def shows(self, t_us: int) -> object | None:
         """Return an object that identifies the estimate at t_us, if it is held.

@@ -21,7 +21,13 @@ from pdavis_cv._checks import (
 from pdavis_cv._types import Events, Parameters, Records, State
 from pdavis_cv.events import FAR, checked_time, timed_events
 from pdavis_cv.pixel.model import AROUND_S, PAST_S, PixelModel
-from pdavis_cv.reconstruct.base import WHOLE_SENSOR, Estimate, Needs, Reconstructor
+from pdavis_cv.reconstruct.base import (
+    WHOLE_SENSOR,
+    Estimate,
+    Needs,
+    Reconstructor,
+    Shown,
+)
 from pdavis_cv.reconstruct.kalman.frames import (
     ANCHOR_DTYPE,
     COURSE_DTYPE,
@@ -430,25 +436,21 @@ class KalmanFilter(Reconstructor):
 
     def read(self, t_us: int, out: NDArray[np.float32] | None = None) -> Estimate:
         """Return the log intensity at t_us (see `Reconstructor.read`)."""
-        estimate, weigh = self._unweighed(t_us, out)
-        weigh(estimate.log_intensity)
+        estimate, weighed = self._unweighed(t_us, out)
+        log, light = estimate.log_intensity, weighed()
+        changed = light != self.intensity(log)
+        log[changed] = np.log(light[changed])
         return estimate
 
-    def begin_read(self, t_us: int) -> Callable[[], Estimate]:
+    def begin_read(self, t_us: int) -> Callable[[], Shown]:
         """Leave the weighing of the degree (see `Reconstructor.begin_read`)."""
-        estimate, weigh = self._unweighed(t_us)
-
-        def weighed() -> Estimate:
-            log = np.empty(self.shape, np.float32)
-            weigh(log)
-            return estimate._replace(log_intensity=log)
-
-        return weighed
+        estimate, weighed = self._unweighed(t_us)
+        return lambda: (weighed(), *estimate[1:])
 
     def _unweighed(
         self, t_us: int, out: NDArray[np.float32] | None = None
-    ) -> tuple[Estimate, Callable[[NDArray[np.float32]], None]]:
-        """Return each pixel's estimate, and what weighs it by the degree that lasts."""
+    ) -> tuple[Estimate, Callable[[], NDArray[np.float32]]]:
+        """Return each pixel's estimate, and what weighs its intensity by the degree."""
         t = checked_time("t_us", t_us)
         seen = t + self.lookahead_us
         self._clock.check_read(seen)
@@ -458,8 +460,13 @@ class KalmanFilter(Reconstructor):
         one._show(t, seen, log, variance, valid)
         self._saturated.fill(t, one._unknown, log, variance, valid, self.workers)
         lasting = copy.copy(one._lasting)
-        return Estimate(log, variance, valid), lambda out: lasting.weigh(
-            log, variance, valid.view(np.uint8), self.workers, out)
+
+        def weighed() -> NDArray[np.float32]:
+            light = self.intensity(log)
+            lasting.weigh(light, variance, valid.view(np.uint8), self.workers)
+            return light
+
+        return Estimate(log, variance, valid), weighed
 
     def _at(self, t: int, seen: int) -> KalmanFilter:
         """Return this filter, or a copy that has used what a later read may not use."""

@@ -120,34 +120,28 @@ class LastingDegree:
             mean, np.maximum(own, latest - (variance - own)), share])
 
     def weigh(
-        self, log: NDArray[np.float32], variance: NDArray[np.float32],
+        self, light: NDArray[np.float32], variance: NDArray[np.float32],
         valid: NDArray[np.uint8], workers: Workers,
-        out: NDArray[np.float32] | None = None,
     ) -> None:
         """Weigh the degree of an image against the one that lasts.
 
-        Log intensities of macropixels change in proportion to S1 and S2: S0 and the
-        angle remain.
+        Intensities of macropixels change in proportion to S1 and S2: S0 and the angle
+        remain.
 
         Parameters
         ----------
-        log, variance : ndarray of float32, shape (H, W)
-            Log intensity, which changes if it is also ``out``, and its variance.
+        light, variance : ndarray of float32, shape (H, W)
+            Intensity, which changes, and the variance of its logarithm.
         valid : ndarray of uint8, shape (H, W)
             1: usable.
         workers : Workers
             Threads that share the work.
-        out : ndarray of float32, shape (H, W), optional
-            Receives the result; default ``log``.
         """
-        out = log if out is None else out
         if not self._lasting.size:      # a single row or column
-            np.copyto(out, log)
             return
         workers.rows(
             self._lasting.shape[1], lambda first, last: _kernels.lasting_degree(
-                self._lasting, self._analyser, (log, variance, valid), (first, last),
-                out),
+                self._lasting, self._analyser, (light, variance, valid), (first, last)),
             row_ns=_CELL_NS * self._lasting.shape[2])
 
     def assign(self, other: LastingDegree) -> None:
