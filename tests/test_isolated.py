@@ -23,6 +23,7 @@ from pdavis_cv import (
     write_aedat4,
 )
 from pdavis_cv.recording import isolated, isolated_reader, sandbox, wire
+from pdavis_cv.recording.packetise import Batch
 from pdavis_cv.recording.registry import writer_for
 from pdavis_cv.tools.main import main
 
@@ -136,6 +137,32 @@ def test_real_files_are_the_same(data_dir):
         with open_recording(path, **given) as here, open_recording(
                 path, isolated=True, **given) as there:
             same(there, here)
+
+
+def test_an_answer_is_one_batch_and_its_events_are_not_copied():
+    """Each batch costs more than what it holds, such as a packet of AEDAT-4."""
+    memory = wire.Shared(mmap.mmap(-1, (1 << 20) + 2 * wire.ROOM))
+    events = random_events(1000, (12, 16), seed=1)
+
+    def batches(gap):
+        for k in range(10):
+            room = memory.room(100)
+            room[:] = events[100 * k:100 * k + 100]
+            yield Batch(room[3:] if k == gap else room, complete_us=k)
+
+    def answer(gap):
+        found = []
+        for one in batches(gap):
+            memory.keep(one.events)
+            found.append(one)
+        return isolated_reader._as_one(found, memory)
+
+    whole = answer(None)
+    np.testing.assert_array_equal(whole.events, events)
+    assert memory.place(whole.events) is not None
+    assert whole.complete_us == 9
+    memory.turn()
+    np.testing.assert_array_equal(answer(4).events, np.delete(events, range(400, 403)))
 
 
 def test_arrays_that_do_not_fit_are_an_error():

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import os
 import re
@@ -42,19 +43,13 @@ def source_of(args: argparse.Namespace, file: AnySource | None = None) -> Source
     from pdavis_cv import open_source
     where = args.file if file is None else file
     given = source_given(args)
-    if isinstance(where, str | os.PathLike) and _is_hdf5(where):
+    if isinstance(where, str | os.PathLike):
         from pdavis_cv.recording import sandbox
-        given.setdefault("isolated", sandbox.available())
+        with contextlib.suppress(OSError, ValueError), as_path(
+                where).open("rb") as begun:
+            if begun.read(len(_HDF5)) == _HDF5:  # whose library damage can hang
+                given.setdefault("isolated", sandbox.available())
     return open_source(where, **given)
-
-
-def _is_hdf5(path: str | os.PathLike[str]) -> bool:
-    """Return whether the HDF5 library, which damage can hang, reads a file."""
-    try:
-        with as_path(path).open("rb") as file:
-            return file.read(len(_HDF5)) == _HDF5
-    except (OSError, ValueError):
-        return False
 
 
 def source_given(args: argparse.Namespace) -> dict[str, Any]:

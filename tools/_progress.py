@@ -9,40 +9,35 @@ from collections.abc import Iterable, Iterator
 from contextvars import ContextVar
 from typing import Any, ClassVar
 
-_ALWAYS: ContextVar[bool] = ContextVar("_ALWAYS", default=False)
+ALWAYS: ContextVar[bool] = ContextVar("ALWAYS", default=False)
 """Whether --progress was given to this command or to the one that calls it."""
 QUIET: ContextVar[bool] = ContextVar("QUIET", default=False)
 _EVERY_S = 4    # interval of messages during a stage; a choice
 
 
 class AlwaysProgress(argparse.Action):
-    """Store --progress in `_ALWAYS`, which stages and bars read."""
+    """Store --progress in `ALWAYS`, which stages and bars read."""
 
     def __call__(self, *_: Any) -> None:
-        _ALWAYS.set(True)
+        ALWAYS.set(True)
 
 
 @contextlib.contextmanager
 def own_progress() -> Iterator[None]:
     """Limit the effect of --progress to one command and those that it calls."""
-    before = _ALWAYS.set(_ALWAYS.get())
+    before = ALWAYS.set(ALWAYS.get())
     try:
         yield
     finally:
         _Stage.end()
-        _ALWAYS.reset(before)
-
-
-def asked_for() -> bool:
-    """Return whether --progress was given."""
-    return _ALWAYS.get()
+        ALWAYS.reset(before)
 
 
 def _shown(**options: Any) -> dict[str, Any]:
     """Return tqdm's options, to show bars on a terminal or with --progress."""
     if QUIET.get():
         return {"disable": True, **options}
-    if _ALWAYS.get():
+    if ALWAYS.get():
         return {"disable": False, "mininterval": 1.0, **options}
     return {"disable": None, **options}
 
@@ -101,6 +96,6 @@ def stage(what: str) -> None:
     _Stage.end()
     if QUIET.get():
         return
-    if _ALWAYS.get() or (sys.stderr is not None and sys.stderr.isatty()):
+    if ALWAYS.get() or (sys.stderr is not None and sys.stderr.isatty()):
         print(f"pdavis: {what} ...", file=sys.stderr, flush=True)
         _Stage.now = _Stage(what)

@@ -22,7 +22,7 @@ from pdavis_cv.recording.options import SourceOptions
 
 from ._common import Parser, UsageError, add_json_option, command, for_people, tell
 from ._options import add_source_options, option_value, source_given
-from ._progress import asked_for
+from ._progress import ALWAYS
 from ._values import positive, within
 
 _MOST_WORKERS = 100_000
@@ -44,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         table = batch.run(
             args.files, options, args.out, work=work, executor=args.executor,
             workers=args.jobs, retries=args.retries, timeout_s=args.timeout,
-            progress=asked_for() or None, stated=SourceOptions(**source_given(args)))
+            progress=ALWAYS.get() or None, stated=SourceOptions(**source_given(args)))
     failed = table.failed
     lines = [f"{row['recording']}: {row['error']}" for row in failed[:20]]
     if len(failed) > 20:

@@ -7,7 +7,6 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -35,11 +34,8 @@ class SeriesFile(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if error is None:
+    def __exit__(self, *error: Any) -> None:
+        if error[0] is None:
             try:
                 self._finish()
             except BaseException as failure:
@@ -47,7 +43,7 @@ class SeriesFile(ABC):
                 raise
         else:
             self._abandon()
-        self._stack.__exit__(kind, error, traceback)
+        self._stack.__exit__(*error)
 
 
 def write_json(path: str | os.PathLike[str], facts: Facts) -> None:

@@ -12,8 +12,10 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from numpy.typing import NDArray
+
 from pdavis_cv.recording import sandbox, wire
-from pdavis_cv.recording.base import MAX_PACKET_US, Problem, Recording
+from pdavis_cv.recording.base import MAX_PACKET_US, Problem, Recording, joined
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.open import open_recording
 from pdavis_cv.recording.packetise import END_OF_TIME, Batch, cell_start
@@ -50,15 +52,27 @@ def _answers(recording: Recording, memory: wire.Shared | None, start_us: int | N
             if one.complete_us >= end:
                 break
             if size >= _FULL:
-                yield found
+                yield [_as_one(found, memory)]
                 found, size = [], 0
                 if memory is not None:
                     memory.turn()
     except Exception as error:
         last = error
     if found:
-        yield found
+        yield [_as_one(found, memory)]
     yield last
+
+
+def _as_one(found: list[Batch], memory: wire.Shared | None) -> Batch:
+    """Return samples as one batch: each one costs more than what it holds."""
+    def joint(name: str) -> NDArray[Any] | None:
+        parts = [part for one in found if (part := getattr(one, name)) is not None
+                 and len(part)]
+        whole = memory.whole(parts) if memory is not None and name == "events" else None
+        return whole if whole is not None else joined(parts) if parts else None
+
+    return Batch(joint("events"), [frame for one in found for frame in one.frames],
+                 joint("imu"), joint("triggers"), found[-1].complete_us)
 
 
 def serve(most: int, asked: int, shared: int) -> None:

@@ -61,6 +61,12 @@ class Shared(Scratch):
         if (at := self.place(events)) is not None:
             self._begin = at + events.nbytes
 
+    def whole(self, parts: list[NDArray[Any]]) -> NDArray[Any] | None:
+        """Return events as one array if they are all that was kept, without gaps."""
+        kept = self.bytes[self._end - ROOM:self._begin].view(EVENT_DTYPE)
+        inside = all(self.place(part) is not None for part in parts)
+        return kept if inside and sum(map(len, parts)) == len(kept) else None
+
     def turn(self) -> None:
         """Go on in the other part."""
         self._begin = self.end + (self._end == self.end + ROOM) * ROOM
