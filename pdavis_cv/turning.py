@@ -17,8 +17,9 @@ _LOOSE = 0.25
 _LOST = 3
 """Misfits in succession after which the period is measured anew.  So it is if most
 gaps have several periods, which are then parts of the true one."""
-_MEASURED = 5
-"""Pulses that tell a period."""
+_MEASURED, _ALIKE = 5, 1.8
+"""Pulses that tell a period, and the most that their largest gap is of the smallest: a
+false one, or one that is missing, makes it two at least."""
 _RECENT = 4096
 """Pulses that a clock keeps beside those it is given: events may be older than they."""
 
@@ -103,6 +104,8 @@ class TurningAnalyser:
             return np.array([[0.0, 2 * self.phase, 4e-6 * math.pi * self.rpm / 60]])
         clock = PulseClock(self)
         clock.add([] if pulses_us is None else pulses_us)
+        if len(clock.kept) == 1 and len(clock.recent) > 1:  # there are few
+            clock.measure(math.inf)
         if len(clock.kept) < 2:
             raise ValueError("the recording must have two trigger pulses or more, got "
                              f"{len(clock.kept)}")
@@ -153,7 +156,7 @@ class PulseClock:
             60e6 / abs(analyser.rpm) / analyser.triggers)
         # Period before the last pulse that fits, and by how much that is off.
         self._before: tuple[float, float] | None = None
-        self._recent: deque[float] = deque(maxlen=_MEASURED)
+        self.recent: deque[float] = deque(maxlen=_MEASURED)
         self._misfits = 0.0     # three times those of late, less pulses that follow
         self.kept: list[tuple[float, float]] = []
 
@@ -161,15 +164,15 @@ class PulseClock:
         """Add the times of pulses, increasing, not before those added earlier."""
         del self.kept[:-_RECENT]
         for t in np.asarray(pulses_us, np.float64).ravel().tolist():
-            self._recent.append(t)
+            self.recent.append(t)
             if not self.kept:
                 self.kept.append((t, self._phase))
             elif self._period is not None:
                 off = {0: 3, 1: -1}.get(self._fit(t, self._period), 0.5)
                 self._misfits = max(self._misfits + off, 0)
             if self._misfits >= 3 * _LOST or (
-                    self._period is None and len(self._recent) == _MEASURED):
-                self._measure()
+                    self._period is None and len(self.recent) == _MEASURED):
+                self.measure()
 
     def segments(self) -> NDArray[np.float64]:
         """Return lines as `TurningAnalyser.segments` does, each from earlier pulses.
@@ -204,14 +207,24 @@ class PulseClock:
         self._before, self._period = (period, off), (t - last) / count
         return count
 
-    def _measure(self) -> None:
-        """Take the period of the last pulses, and those that fit it."""
-        self._before, self._misfits, gaps = None, 0, np.diff(self._recent)
-        self._period = float(np.median(gaps))
-        if len(self.kept) == 1 and (gaps[1:] < 0.98 * gaps[:-1]).all():
-            # A motor starts: each gap is one period.
+    def measure(self, most: float = _ALIKE) -> None:
+        """Take the period of the last pulses, and those that fit it.
+
+        The first ones tell it if no gap is `most` times another, or a motor starts.
+        """
+        gaps, zero = np.diff(self.recent), self.kept[0][0]
+        starts = bool((gaps[1:] < 0.98 * gaps[:-1]).all())
+        if self._period is None and not (starts or gaps.max() < most * gaps.min()):
+            return
+        self._before, self._misfits, self._period = None, 0, float(np.median(gaps))
+        if len(self.kept) == 1 and starts:      # each gap is one period
             self.kept = [(t, self._phase + k * self._step)
-                         for k, t in enumerate(self._recent)]
+                         for k, t in enumerate(self.recent)]
             self._period = float(gaps[-1])
-        for t in [one for one in self._recent if one > self.kept[-1][0]]:
-            self._fit(t, self._period)
+        elif len(self.kept) == 1:   # pulses that have left may be false ones
+            first = self.recent[int(self.recent[0] > zero)]
+            turned = round((first - zero) / self._period) * self._step
+            self.kept = [(first, self._phase + turned)]
+        for t in self.recent:
+            if t > self.kept[-1][0]:
+                self._fit(t, self._period)

@@ -32,9 +32,7 @@ _BESIDE, _MISFIT = (6, 2), 8.0
 """Phases to either side on whose parabola one is moved, as motors gain speed steadily;
 fewer where a square error of so many medians says that a motor begins or ends to."""
 _LINES = 8      # from one phase to the next, whose rate may change
-_PLACES = 0.5, 0.75, 0.25, 0.9, 0.1
-"""Parts of a recording at which a modulation is looked for: where a motor gains speed,
-there may be no line."""
+_PLACES = 0.5, 0.75, 0.25, 0.9, 0.1     # of a recording: a motor's start has no line
 _KEPT = 0.9
 """Part of the mean of past phases that remains when a new one is added to it."""
 
