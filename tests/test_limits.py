@@ -22,6 +22,7 @@ from pdavis_cv.recording.file_reader import FileReader
 from pdavis_cv.recording.limits import Budget
 from pdavis_cv.recording.packetise import Batch, packetise
 from pdavis_cv.recording.registry import writer_for
+from pdavis_cv.recording.scratch import Gathering
 from pdavis_cv.tools.main import main
 
 EVENT = np.dtype([("t", "<i8"), ("x", "<i2"), ("y", "<i2"), ("p", "u1"), ("pad", "V3")])
@@ -466,6 +467,18 @@ def test_a_search_beyond_the_limit_is_an_error(tmp_path):
     budget.searched(1 << 20)
     with pytest.raises(RecordingError, match="work_per_byte=2 allows"):
         budget.searched((1 << 20) + 2001)
+
+
+def test_a_share_of_the_file_that_cannot_be_reserves_no_more_than_may_be(tmp_path):
+    """Of a bag it is that of its times, which may be damaged."""
+    path = tmp_path / "a"
+    path.write_bytes(bytes(1000))
+    events = np.zeros(100_000, pdavis_cv.EVENT_DTYPE)
+    memory = Gathering(None, None, Budget(path))
+    assert not memory.keep(events)
+    memory.expect(1e-12)
+    assert memory.room(0).base.nbytes <= 3 * events.nbytes
+    np.testing.assert_array_equal(memory.events, events)
 
 
 def test_frames_far_ahead_of_the_events_are_not_kept(tmp_path):

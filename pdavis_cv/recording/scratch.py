@@ -74,7 +74,9 @@ class Gathering(Scratch):
     def expect(self, share: float) -> None:
         """Reserve memory for the whole file, a fraction of which has been kept."""
         if self._end > share * len(self._all):  # otherwise it would soon move again
-            self.reserve(int((_SPARE / share - 1) * self._end))
+            # The share may be a damaged one.
+            most = self._budget.limits.ratio * self._budget.size / EVENT_DTYPE.itemsize
+            self.reserve(int(min((_SPARE / share - 1) * self._end, most)))
 
     def keep(self, events: NDArray[Any]) -> bool:
         """Keep the next events inside the interval; return whether its end is reached.
