@@ -204,5 +204,5 @@ def test_the_command_line_takes_names_and_says_what_is_wrong(folder, capsys):
 def test_images_without_events_are_not_of_a_turning_analyser():
     recording = pdavis_cv.recording_from_arrays(np.zeros(0, pdavis_cv.EVENT_DTYPE), [
         ApsFrame(np.full((4, 4), 9, np.float32), 0, 10)], sensor_size=(4, 4))
-    with pytest.raises(ValueError, match="must have events where analyser turns"):
+    with pytest.raises(ValueError, match="has no events; of images"):
         fuse(recording, analyser=TurningAnalyser(rpm=600))

@@ -362,6 +362,13 @@ def test_fuse_takes_a_stated_speed(few, causal):
 
 
 @pytest.mark.parametrize("causal", [False, True])
+def test_a_recording_without_pulses_has_no_angle(few, causal):
+    with pytest.raises(ValueError, match="has no trigger pulses; state rpm"):
+        pdavis_cv.fuse(as_recording(few), causal=causal,
+                       analyser=TurningAnalyser(triggers=1))
+
+
+@pytest.mark.parametrize("causal", [False, True])
 def test_fuse_takes_pulses(few, causal):
     pulses_us = 50_000 * np.arange(31)
     recording = as_recording(few, np.delete(pulses_us, 12))

@@ -59,8 +59,9 @@ class TurningFusion(Advises, Iterator[PolarFrame]):
                 raise ValueError(f"analyser excludes {name}")
         assert options.analyser is not None
         if recording.info.event_count == 0:
-            raise ValueError("recording must have events where analyser turns (of "
-                             "images: analyser_steps of open_recording)")
+            raise ValueError("recording has no events; of images it is analyser_steps")
+        if options.analyser.triggers and recording.info.trigger_count == 0:
+            raise ValueError("recording has no trigger pulses; state rpm, or neither")
         self.recording, self._options = recording, options
         self.needs = Needs(frames=recording.info.frame_count != 0)
         self._analyser: TurningAnalyser = options.analyser
