@@ -49,9 +49,9 @@ def found_hz(recording: Recording) -> float | None:
 def found_segments(recording: Recording, phase: float = 0.0) -> NDArray[np.float64]:
     """Return twice the angle of an analyser, as `TurningAnalyser.segments` does.
 
-    The frequency is that of the middle of the recording; from there the phase, which is
-    the angle at the first event, radians, is followed to both ends.  If no modulation
-    stands out, that is a ValueError.
+    The frequency is that of the middle of the recording, or of where it is clear; from
+    there the phase, which is the angle at the first event, radians, is followed to both
+    ends.  If no modulation stands out, that is a ValueError.
     """
     t, block, sign = _events(recording)
     for part in _PLACES:
@@ -156,8 +156,7 @@ def _lines(knots: NDArray[np.float64]) -> NDArray[np.float64]:
     smooth, left = np.array([parabola(k, _BESIDE[0]) for k in range(n + 2)]).T
     for k in np.flatnonzero(left > _MISFIT * np.median(left)).tolist():
         smooth[k] = parabola(k, _BESIDE[1])[0]
-    part = np.arange(_LINES * (n + 1) + 1) / _LINES
-    fine = np.interp(part, np.arange(n + 2), more)
+    fine = np.interp(np.arange(_LINES * (n + 1) + 1) / _LINES, np.arange(n + 2), more)
     angle = CubicSpline(more, smooth)(fine)
     rate = np.diff(angle) / np.diff(fine)
     return np.stack([fine, angle, np.append(rate, rate[-1])], 1)
@@ -171,13 +170,13 @@ def _followed(
     rate, phase, at, gain = 2 * math.pi * hz, 0.0, 0.0, 0.0
     knots, count, span = [(0.0, 0.0)], int(block.max()) + 1, 1 / hz
 
-    def turned(span: Any) -> Any:
+    def ahead(span: Any) -> Any:
         return (rate + gain * span / 2) * span
 
     def wave() -> NDArray[np.complex128]:
         """Return the wave of each block in two cycles, faded in and out."""
         few = slice(*np.searchsorted(t, (at - span, at + span)))
-        angle = turned(t[few] - at)
+        angle = ahead(t[few] - at)
         fade = np.cos(np.clip(angle / 4, -math.pi / 2, math.pi / 2)) ** 2
         out = np.zeros(count, np.complex128)
         np.add.at(out, block[few], sign[few] * fade * np.exp(-1j * (phase + angle)))
@@ -186,7 +185,7 @@ def _followed(
     template = wave()   # which both directions share
     while True:
         span = 4 * math.pi / (rate + math.sqrt(max(rate**2 + 4 * math.pi * gain, 0)))
-        at, phase, rate = at + span, phase + turned(span), rate + gain * span
+        at, phase, rate = at + span, phase + ahead(span), rate + gain * span
         if at + span > t[-1] and len(knots) > 1:
             return knots
         found = wave()
