@@ -65,9 +65,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not files:
             continue
         stage(f"measuring {part}")
-        with for_people(args), all_or_none():
-            known = _measure(part, files, args, known)
-            known.save(path)
+        with for_people(args):
+            with all_or_none():
+                known = _measure(part, files, args, known)
+                known.save(path)
             print(f"wrote {path}: {', '.join(known.parts)}")
         done.append(part)
     if known is None or not done:
