@@ -53,16 +53,6 @@ def test_an_offset_is_found_whatever_it_is(name, us):
         us, abs=5000 if name == "30 RPM" else 1200)
 
 
-@pytest.mark.gate
-@pytest.mark.parametrize("seed", [1004, 1005, 1007])
-def test_the_lag_of_few_events_is_not_taken_for_an_offset(seed):
-    # One or two events a swing: their interpolation lags by a tenth of a gap.
-    recording, _ = recorded(
-        RotatingPolarizer(rpm=60.8, dolp=0.3), "drawn", seed, 2.2, (12, 12))
-    found = learned_pixels(recording)
-    assert abs(found.clock_offset_us) < 2.5 * found.sigmas["shift"]
-
-
 def test_at_rest_nothing_is_told():
     assert not learned_pixels(recorded(FlatLight())[0], nominal=NOMINAL).clock_offset_us
 

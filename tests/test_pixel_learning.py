@@ -59,7 +59,7 @@ def test_thresholds_and_clock_are_within_three_of_their_sigmas(rpm, dolp):
         if step is not None:
             assert abs(math.log(step / true)) < 3 * found.sigmas[name]
     assert abs(found.clock_offset_us + 3000) < 3 * found.sigmas["shift"]
-    assert found.sigmas["shift"] < 1500
+    assert found.sigmas["shift"] < 1000
     assert found.model.black == 0
 
 

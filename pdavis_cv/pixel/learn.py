@@ -43,9 +43,8 @@ COUNT_NOISE = 0.16
 BETTER_REST = 0.02
 """Fall of -2 ln L per row for which another rest time is taken."""
 
-LAG_OF_GAP = 0.07
-"""Standard deviation of the lag of interpolated counts, in mean gaps between events:
-rms of 48 recordings of three presets before polarizers, textures and edges."""
+LAG_OF_GAP = 0.035
+"""Standard deviation of the lag of interpolated counts, in mean gaps between events."""
 
 EVIDENCE, EVIDENCE_OF_BLACK, LOSS_OF_BLACK, ERRORS_OF_BLACK = 4.0, 25.0, 3.0, 4.0
 """Fall of -2 ln posterior for which a number is taken that was not told: two standard
