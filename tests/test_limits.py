@@ -455,7 +455,9 @@ def test_a_limit_gives_the_whole_or_an_error_that_names_it(name, isolated, tmp_p
         found = [read(**{limit: value}) for value in values]
         refused = [isinstance(one, RecordingError) for one in found]
         assert refused == sorted(refused, reverse=True)
-        assert 0 < sum(refused) < len(values)
+        assert sum(refused) < len(values)
+        # The samples that a process sends together do not wait for each other.
+        assert any(refused) or (isolated and limit == "memory")
         assert all(f" {limit}=" in str(one) if error else one == whole
                    for error, one in zip(refused, found, strict=True))
 
