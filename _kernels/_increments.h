@@ -7,18 +7,26 @@
 #include "_math.h"
 
 #define GAP_CLASSES 5           /* hats in ln(gap), centred at 2, 8, 32, 128, 512 ms */
-#define FIRST_GAP 2e-3
+#define FIRST_GAP 2e-3          /* s: centre of the first one */
 #define LN_CLASS 1.3862943611198906     /* ln 4, between the centres */
 #define CONTEXTS 4
 #define RATIOS 5                /* silence / gap before it: 1/4, 1/2, 1, 2, 4 */
 #define FIRST_RATIO 0.25
 #define LAGS 5
-#define TURN 0.268              /* turn of a parabola after a gap of unknown pace */
-/* 3 - 2 sqrt 2: the turn that just reaches a threshold */
+/* Gap before a turn of the light over that of the turn, a parabola that goes on by x
+   thresholds: (sqrt(1 + x) - sqrt x)^2.  Half of one, 2 - sqrt 3, if the pace is not
+   known; at the most one, 3 - 2 sqrt 2. */
+#define TURN 0.26794919243112271
 #define EARLIEST_TURN 0.17157287525380990
 #define LEAST_LIVE 0.25         /* of the dead time, that a gap goes on after it */
-#define LEAST_GAP 1e-5
+#define LEAST_GAP 1e-5          /* s: bounds of a ratio; below all that occurs */
 #define LEAST_SILENCE 1e-6
+#define LEAST_LIGHT 1e-3        /* DN/ms: light that is less leads as much */
+#define LEAD_LINEAR 0.02        /* lead up to which two terms err by some 1e-5 */
+#define LEAD_LEAST -0.85        /* ln: near u = -1, where u e^u has its minimum, and far */
+#define LEAD_MOST 2.0           /* beyond 1, y' does not determine the lead */
+#define LEAD_STEPS 8            /* at most, of Newton's method; some four are needed */
+#define LEAD_ERROR 1e-4         /* ln: the step with which they end */
 #define RESTS 2.5               /* rest times after which light is still */
 #define AT_REST (1.0 / (1.0 + RESTS * RESTS * RESTS * RESTS))
 #define PER_TURN_2 0.15915494309189535  /* 1 / (2 pi) */
@@ -30,12 +38,17 @@
 #define PD_CHANGED (-PD_NEVER)
 #define PD_QUIET (PD_CHANGED - 1)
 #define PD_GATE 16.0            /* squared sigmas beyond which a frame starts anew */
-#define PD_CLAIM 0.5            /* as CLAIM_SHARE ... HOT_SAMPLES of _hot.pxd */
+/* A frame contradicts events if their signs agree by this share, and it shows less than
+   that of their change.  ln odds: one pixel in 1000 is hot; of those nine frames in ten
+   contradict, of others one in a hundred (ln .9/.01 and ln .99/.1). */
+#define PD_CLAIM 0.5
 #define PD_SHOWN 0.25
 #define PD_PRIOR_ODDS 6.91
 #define PD_MORE 4.5
 #define PD_LESS 2.29
-#define PD_HOT_MEMORY 8.0
+#define PD_HOT_MEMORY 8.0       /* frames, of the motion that replaces its events */
+#define SECOND 1e6              /* us: what a line is drawn through beyond a frame */
+#define LEAST_INTERVAL 1e3      /* us: of frames; no camera's are nearer */
 #define PD_UNKNOWN 1e3          /* variance of a pixel without a sample */
 #define PD_DOUBTFUL 9.0         /* squared sigmas: pixels contradict events */
 /* s since an event, and growth, of the times between which a silence is linear. */
@@ -89,6 +102,34 @@ PDAVIS_INLINE double goes_on(double gap, const camera_t *c)
     return left > 0.0 ? left / (1.0 - AT_REST) : 0.0;
 }
 
+PDAVIS_INLINE double lead_within(double u)
+{
+    return u > LEAD_MOST ? LEAD_MOST : u < LEAD_LEAST ? LEAD_LEAST : u;
+}
+
+/* Lead u of the light over the photoreceptor: u (f0 + k I e^u) = y' / 2 pi.  (5) */
+PDAVIS_INLINE double lead_of(double slope, double light, const camera_t *c)
+{
+    double right = slope * PER_TURN_2, u, x;
+    double kl = c->hz_per_light * (light > LEAST_LIGHT ? light : LEAST_LIGHT);
+    int k;
+    if (c->hz + kl <= 0.0)
+        return 0.0;
+    u = right / (c->hz + kl);
+    x = u * (1.0 - u * kl / (c->hz + kl));
+    if (fabs(u) < LEAD_LINEAR)
+        return x;
+    u = lead_within(x);
+    for (k = 0; k < LEAD_STEPS; k++) {
+        x = kl * pd_exp((float)u);
+        x = (u * (c->hz + x) - right) / (c->hz + x * (1.0 + u));
+        u = lead_within(u - x);
+        if (fabs(x) < LEAD_ERROR)
+            break;
+    }
+    return u;
+}
+
 /* The gap before a turn of the light, of which one of this pace is q, s. */
 PDAVIS_INLINE double pace_of(double before, int known, double gap)
 {
@@ -120,16 +161,24 @@ PDAVIS_INLINE double weight_of(double gap, double before, int same, int run_befo
     return gap * ((live + gap) / live_of(gap, c) - c->dead / live) / (before + gap);
 }
 
+/* Class of the gap before an event, and the share of the next class. */
+PDAVIS_INLINE int class_of(double gap, double *share)
+{
+    double x = 0.0;
+    int i;
+    if (gap > FIRST_GAP)
+        x = pd_log((float)gap / (float)FIRST_GAP) / LN_CLASS;
+    i = x < GAP_CLASSES - 2 ? (int)x : GAP_CLASSES - 2;
+    x -= i;
+    *share = x < 1.0 ? x : 1.0;
+    return i;
+}
+
 /* Change of light by an event after a gap, by its class. */
 PDAVIS_INLINE double step_of(double before, int on, const camera_t *c)
 {
-    double x, part;
-    int i;
-    x = pd_log((float)(before > 1e-6 ? before : 1e-6) / (float)FIRST_GAP) / LN_CLASS;
-    x = x > 0.0 ? x : 0.0;
-    x = x < GAP_CLASSES - 1.000001 ? x : GAP_CLASSES - 1.000001;
-    i = (int)x;
-    part = x - i;
+    double part;
+    int i = class_of(before, &part);
     return c->theta[on] + (1.0 - part) * c->by_class[on][i]
            + part * c->by_class[on][i + 1];
 }
@@ -264,9 +313,9 @@ PDAVIS_INLINE void rest_planes(
     float *restrict grows, float *restrict bends)
 {
     int before = p_ahead >= 0.0f, after = p_behind >= 0.0f;
-    double t0 = before || !after ? m0 : m1 - 1e6, t1 = after ? m1 : t0 + 1e6;
+    double t0 = before || !after ? m0 : m1 - SECOND, t1 = after ? m1 : t0 + SECOND;
     double j0, j1, v0, v1, seconds, since = 1e-6 * (epoch - t0), bend, rate;
-    t1 = t1 > t0 + 1e3 ? t1 : t0 + 1e3;
+    t1 = t1 > t0 + LEAST_INTERVAL ? t1 : t0 + LEAST_INTERVAL;
     at_rest(t0, ahead, p_ahead, behind, p_behind, common, extra, m0, m1, alpha,
             &j0, &v0);
     at_rest(t1, ahead, p_ahead, behind, p_behind, common, extra, m0, m1, alpha,

@@ -1,10 +1,17 @@
 """Records of the filter of log intensity, and its model in _increments.h."""
 from libc.stdint cimport int8_t, int32_t, int64_t, uint8_t
 
-from _kernels._math cimport exp_f, log_f
 
 cdef extern from "_increments.h" nogil:
+    enum:
+        CLASSES "GAP_CLASSES"
+        CONTEXTS
+        RATIOS
     const int LAGS
+    const double FIRST_RATIO
+    const double LEAST_GAP
+    const double LEAST_SILENCE
+    const double LEAD_LINEAR
     const double PER_TURN "PER_TURN_2"
     const int64_t NEVER "PD_NEVER"
     const int64_t CHANGED "PD_CHANGED"
@@ -35,7 +42,10 @@ cdef extern from "_increments.h" nogil:
     double weight_of(double gap, double before, int same, int run_before,
                      const camera_t* c)
     double step_of(double before, int on, const camera_t* c)
+    int class_of(double gap, double* share)
+    int ratio_node "node_of"(double ratio, double* share)
     int context_of(int run, double before, double before2)
+    double lead_of(double slope, double light, const camera_t* c)
     void course_of(const around_t* a, const camera_t* c, double* rise, double* bend)
     void part_of(const around_t* a, const camera_t* c, double* part, double* rate)
     ctypedef struct silence_t:
@@ -144,32 +154,6 @@ cdef struct course_t:
     float[3][3] open
     float before
     int8_t sign, context    # of the open silence, sign 0: none
-
-
-cdef inline double lead_of(double slope, double light,
-                           const camera_t* c) noexcept nogil:
-    """Lead u of the light over the photoreceptor: u (f0 + k I e^u) = y' / 2 pi.  (5)"""
-    cdef double right = slope * PER_TURN, kl = c.hz_per_light * light, u, x, f
-    cdef int _
-    if c.hz + kl <= 0.0:
-        return 0.0
-    u = right / (c.hz + kl)
-    x = u * (1.0 - u * kl / (c.hz + kl))
-    if u < 0.02 and u > -0.02:
-        return x
-    u = 1.0 if x > 1.0 else -0.5 if x < -0.5 else x
-    for _ in range(8):
-        x = kl * exp_f(<float>u)
-        f = c.hz + x * (1.0 + u)
-        if f < 0.05 * (c.hz + x):
-            f = 0.05 * (c.hz + x)
-        x = (u * (c.hz + x) - right) / f
-        u -= x
-        # Beyond, y' does not determine u.
-        u = 2.0 if u > 2.0 else -0.85 if u < -0.85 else u
-        if x < 1e-4 and x > -1e-4:
-            break
-    return u
 
 
 cdef enum:

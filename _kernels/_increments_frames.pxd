@@ -141,7 +141,7 @@ cdef inline void node_of(const pixel_t* p, const stored_t* store, const frame_t*
         for i in range(samples):
             if turn > 0 and slope[i] != 0.0:
                 share = exp_f(<float>(log - level + y[i])) - c.black
-                u[i] = lead_of(slope[i], max(share, 1e-3), c)
+                u[i] = lead_of(slope[i], share, c)
             total += exp_f(<float>(y[i] + u[i] + lit[i] - top))
         level = top + log_f(<float>(total / samples))
     i = samples // 2

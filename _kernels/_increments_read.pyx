@@ -4,11 +4,11 @@ from libc.stdint cimport int32_t, int64_t, uint8_t, uint32_t
 from libc.string cimport memset
 
 from _kernels._increments cimport (
-    AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEVEL, NEVER, PER_TURN,
-    PRIOR_ODDS, RESTS, SLOPE, SMOOTH_FROM, VARIANCE, anchor_t, around_t, at_rest,
-    camera_of, camera_t, course_of, course_t, drift_of, lead_of, mean_at, node_t,
-    pixel_t, rest_planes, rest_row, show_row, shown_t, silence_of, silence_t,
-    silent_variance, stored_t, weight)
+    AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEAD_LINEAR, LEVEL,
+    NEVER, PER_TURN, PRIOR_ODDS, RESTS, SLOPE, SMOOTH_FROM, VARIANCE, anchor_t,
+    around_t, at_rest, camera_of, camera_t, course_of, course_t, drift_of, lead_of,
+    mean_at, node_t, pixel_t, rest_planes, rest_row, show_row, shown_t, silence_of,
+    silence_t, silent_variance, stored_t, weight)
 from _kernels._increments_frames cimport (
     around_of, corner_of, frame_of, frame_t, lags_of, lags_t, node_of, open_since, say,
     silence_in, weigh_counts)
@@ -206,7 +206,7 @@ cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_
     cdef ends_t ends
     cdef double[2] rise = [0.0, 0.0], bend = [0.0, 0.0]
     cdef int k
-    cdef double j = 0.0, now = 0.0, then = 0.0, next_ = 0.0, u, slope = 0.0, light
+    cdef double j = 0.0, now = 0.0, then = 0.0, next_ = 0.0, u, slope = 0.0
     a.since = 0.0
     if s.sign and not s.state & HOT:
         a.sign = s.sign
@@ -254,9 +254,8 @@ cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_
     j += u
     if slope != 0.0 and (c.hz > 0.0 or c.hz_per_light > 0.0):
         u = slope * PER_TURN / (c.hz + s.corner)
-        if u > 0.02 or u < -0.02:
-            light = exp_f(<float>j) - c.black
-            u = lead_of(slope, light if light > 1e-3 else 1e-3, c)
+        if fabs(u) > LEAD_LINEAR:
+            u = lead_of(slope, exp_f(<float>j) - c.black, c)
         else:
             u *= 1.0 - u * s.corner / (c.hz + s.corner)
         j += u

@@ -5,16 +5,14 @@ A pixel's events are contiguous in memory.  The observation model is _increments
 from libc.stdint cimport int8_t, int32_t, int64_t
 
 from _kernels._increments cimport (
-    around_t, camera_t, context_of, course_of, goes_on, lead_of, part_of, weight_of)
+    CLASSES, CONTEXTS, FIRST_RATIO, LEAST_GAP, LEAST_SILENCE, MOST_SAMPLES, RATIOS,
+    around_t, camera_of, camera_t, class_of, context_of, course_of, goes_on, lead_of,
+    part_of, ratio_node, weight_of)
 from _kernels._math cimport exp_f, log_f
 
 cdef enum:
-    CLASSES = 5                 # GAP_CLASSES, RATIOS and CONTEXTS of _increments.h
-    RATIOS = 5
-    CONTEXTS = 4
-    COUNTS = 12                 # M-, M+, then counts by class, OFF first
-    MOST_SAMPLES = 9
-    MOST_LAGS = 8
+    COUNTS = 2 + 2 * CLASSES    # M-, M+, then counts by class, OFF first
+    MOST_LAGS = 8               # of one call: an array on the stack
     PLACES = 8                  # a pixel, the others of its macropixel, four neighbours
 
 cdef packed struct past_t:
@@ -24,16 +22,6 @@ cdef packed struct past_t:
     float weight                # thresholds that it stands for
     int8_t sign, context, run, spare
     float spare2
-
-cdef struct here_t:
-    around_t around
-    int64_t last                # index of the last event, below the first: none
-
-
-cdef const camera_t* camera_of(const double[::1] numbers) except NULL:
-    if numbers.shape[0] * sizeof(double) != sizeof(camera_t):
-        raise ValueError("numbers must be those of a PixelModel")
-    return <const camera_t*>&numbers[0]
 
 
 cdef void check_starts(const int64_t[::1] start, Py_ssize_t n) except *:
@@ -77,11 +65,7 @@ def learning_past(past_t[::1] events not None, const int64_t[::1] start not None
                 e.weight = <float>weight_of(
                     before, before2, same, events[k - 1].run if k > start[i] else 0,
                     camera_)
-                x = log_f(<float>max(before, 1e-6) / <float>2e-3) / 1.3862943611198906
-                x = min(max(x, 0.0), CLASSES - 1.000001)
-                c = <Py_ssize_t>x
-                x -= c
-                c += CLASSES if e.sign > 0 else 0
+                c = class_of(before, &x) + (CLASSES if e.sign > 0 else 0)
                 e.total[c] += e.sign * e.weight * <float>(1.0 - x)
                 e.total[c + 1] += e.sign * e.weight * <float>x
 
@@ -146,21 +130,21 @@ def learning_rows(const past_t[::1] events not None, const int64_t[::1] start no
 
     exposure (frame, begin and end, N) are times, us; images know events up to `ahead`
     beyond them, and the first also those of the second.  log (2, N) is ln(I + black) of
-    the frames, gains (2, pixels) those of the pixels, OFF and ON.  out (16, N) receives
-    the differences of both: M-, M+ and counts by class, each times 1 + gain, and h; the
-    variance of J, of both in sum; and the change by OFF and by ON events, without gain.
+    the frames, gains (2, pixels) those of the pixels, OFF and ON.  out (15, N) receives
+    the differences of both: M-, M+ and counts by class, each times 1 + gain, and h; and
+    the change by OFF and by ON events, without gain.
     """
     cdef Py_ssize_t i, n = pixel.shape[0], pixels = start.shape[0] - 1
     cdef const camera_t* c = camera_of(camera)
     cdef const past_t* all_ = &events[0] if events.shape[0] else NULL
-    cdef double[2][COUNTS + 2] f
+    cdef double[2][COUNTS + 1] f
     cdef double off, on
     cdef int64_t low, high
     cdef int j
     check_starts(start, events.shape[0])
     if (samples < 1 or samples > MOST_SAMPLES or exposure.shape[0] != 2
             or exposure.shape[1] != 2 or exposure.shape[2] != n or log.shape[0] != 2
-            or log.shape[1] != n or out.shape[0] != COUNTS + 4 or out.shape[1] != n):
+            or log.shape[1] != n or out.shape[0] != COUNTS + 3 or out.shape[1] != n):
         raise ValueError("learning_rows: arrays must have one column per row")
     if gains.shape[0] != 2 or gains.shape[1] != pixels:
         raise ValueError("learning_rows: gains must have one column per pixel")
@@ -179,13 +163,12 @@ def learning_rows(const past_t[::1] events not None, const int64_t[::1] start no
             for j in range(COUNTS + 1):
                 f[1][j] -= f[0][j]
             out[COUNTS, i] = f[1][COUNTS]
-            out[COUNTS + 1, i] = f[0][COUNTS + 1] + f[1][COUNTS + 1]
-            out[COUNTS + 2, i] = c.theta[0] * f[1][0]
-            out[COUNTS + 3, i] = c.theta[1] * f[1][1]
+            out[COUNTS + 1, i] = c.theta[0] * f[1][0]
+            out[COUNTS + 2, i] = c.theta[1] * f[1][1]
             out[0, i], out[1, i] = off * f[1][0], on * f[1][1]
             for j in range(CLASSES):
-                out[COUNTS + 2, i] += c.by_class[0][j] * f[1][2 + j]
-                out[COUNTS + 3, i] += c.by_class[1][j] * f[1][2 + CLASSES + j]
+                out[COUNTS + 1, i] += c.by_class[0][j] * f[1][2 + j]
+                out[COUNTS + 2, i] += c.by_class[1][j] * f[1][2 + CLASSES + j]
                 out[2 + j, i] = off * f[1][2 + j]
                 out[2 + CLASSES + j, i] = on * f[1][2 + CLASSES + j]
 
@@ -241,18 +224,16 @@ cdef inline void mean_of(const past_t* events, int64_t low, int64_t high, int64_
         for i in range(samples):
             if turn > 0 and slope[i] != 0.0:
                 light = exp_f(<float>(log - level + y[i])) - c.black
-                u[i] = lead_of(slope[i], max(light, 1e-3), c)
+                u[i] = lead_of(slope[i], light, c)
             total += exp_f(<float>(y[i] + u[i] - top))
         level = top + log_f(<float>(total / samples))
-    for j in range(COUNTS + 2):
+    for j in range(COUNTS):
         out[j] = 0.0
     out[COUNTS] = level
     for i in range(samples):
         share = exp_f(<float>(y[i] + u[i] - top)) / total
         for j in range(COUNTS):
             out[j] += share * f[i][j]
-        light = y[i] + u[i] - level
-        out[COUNTS + 1] += share * light * light
 
 
 def learning_around(const past_t[::1] events not None,
@@ -350,7 +331,7 @@ def learning_silences(const past_t[::1] events not None, const int64_t[::1] star
     cdef const past_t* e = &events[0] if events.shape[0] else NULL
     cdef around_t around
     cdef double[2] part, rate
-    cdef double s, z, basis, ratio, low, share
+    cdef double s, z, basis, ratio, share
     cdef int64_t k, first, stop
     cdef int half, at, node
     check_starts(start, events.shape[0])
@@ -370,24 +351,21 @@ def learning_silences(const past_t[::1] events not None, const int64_t[::1] star
                     continue
                 fill(e, k, stop, times[j], e[k + 1].t, &around)
                 part_of(&around, c, part, rate)
-                around.silent = max(1e-6 * <double>(times[j] + ahead - e[k].t), 1e-6)
-                ratio = around.silent / max(around.before, 1e-5)
+                around.silent = max(1e-6 * <double>(times[j] + ahead - e[k].t),
+                                    LEAST_SILENCE)
+                ratio = around.silent / max(around.before, LEAST_GAP)
                 z = goes_on(max(around.silent, around.before), c)
                 if z <= 0.0:
                     continue
-                node, low = 0, 0.25
-                while node < RATIOS - 2 and ratio > 2.0 * low:
-                    node += 1
-                    low *= 2.0
-                share = min((ratio - low) / low, 1.0)
+                node = ratio_node(ratio, &share)
                 s = around.since / around.silent
                 for at in range(2 * CONTEXTS * RATIOS):
                     rows[n, at] = 0.0
                 for half in range(2):
                     basis = z * (4.0 * s * (1.0 - s) if half else s)
                     at = (half * CONTEXTS + around.context) * RATIOS + node
-                    if ratio < 0.25 and half == 0:
-                        rows[n, at] = basis * ratio / 0.25
+                    if ratio < FIRST_RATIO and half == 0:
+                        rows[n, at] = basis * ratio / FIRST_RATIO
                     else:
                         rows[n, at] = basis * (1.0 - share)
                         rows[n, at + 1] = basis * share

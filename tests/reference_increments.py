@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 SAMPLES, SHORT_US, GATE, LEARN_EVENTS = 7, 1500, 16.0, 3
-RESTS, TURN, EARLIEST_TURN = 2.5, 0.268, 3 - 2 * math.sqrt(2)
+RESTS, TURN, EARLIEST_TURN = 2.5, 2 - math.sqrt(3), 3 - 2 * math.sqrt(2)
 SMOOTH_FROM_S, KNOT = 0.045, 1.1
 CLAIM, SHOWN, HOT, MORE, LESS, HOT_MEMORY = 0.5, 0.25, 6.91, 4.5, 2.29, 8.0
 

@@ -36,7 +36,7 @@ _OF_EVENTS = frozenset({"event_scale", "ratio_sigma"})
 """What is learned from events alone: the scale of the thresholds, and the spread of the
 pixels' ratios of them.  Frames tell "model", or "thresholds" for other methods."""
 
-_STATED_SIGMA, _NOMINAL_SIGMA = 0.05, 0.5
+_STATED_SIGMA, _NOMINAL_SIGMA = 0.05, Priors.theta_sigma
 """Relative error of thresholds that were measured, and of others: those of bias or data
 sheet may be wrong by half."""
 
@@ -286,9 +286,7 @@ def learned_pixels(
     for _ in _fed(sample, recording, recording.packets(), calibration):
         pass
     on, off = nominal
-    return learn(sample, Priors(
-        theta=(_mean(off), _mean(on)), theta_sigma=_NOMINAL_SIGMA,
-        clock_us=(0.0, _CLOCK_SIGMA_US)), 0)
+    return learn(sample, Priors(theta=(_mean(off), _mean(on))), 0)
 
 
 def learned_parts(found: LearnedPixels) -> dict[str, Any]:

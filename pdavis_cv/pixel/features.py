@@ -11,6 +11,7 @@ from pdavis_cv.pixel.rows import (
     counts_at,
     fitted_noise,
     linearized,
+    losses,
     robust,
 )
 from pdavis_cv.pixel.sample import Sampled
@@ -20,9 +21,6 @@ SHRINKS = (0.0, 0.02, 0.05, 0.1, 0.2)
 
 FOLDS = 4
 """Blocks of pairs that are left out in turn."""
-
-LOSS = 0.5
-"""Error of ln DN from which the loss of cross-validation is robust."""
 
 SAME_SCALE = 1e3
 """Weight of the penalty on what further weights change in proportion to all events:
@@ -71,21 +69,19 @@ def further_weights(
         sigma = np.where(used, max(shrink, 1e-6) * theta, 1e-9)
         return first + np.linalg.solve(a + np.diag(1 / sigma**2) + penalty, b)
 
-    losses, outsides = [], []
+    lost, outsides = [], []
     for shrink in SHRINKS:
         outside = residual.copy()
         if shrink:
             for i in range(FOLDS):
                 here = fold == i
                 outside[here] = rows.change[here] - x[here] @ solved(shrink, i)
-        error = (outside * rows.jacobian) ** 2 / (
-            rows.frame_noise * rows.jacobian**2 + LOSS**2)
-        losses.append(np.bincount(
-            pairs.pair, 2 * (np.sqrt(1 + error) - 1), number).astype(np.float64))
+        lost.append(np.bincount(
+            pairs.pair, losses(rows, outside), number).astype(np.float64))
         outsides.append(outside)
-    best = int(np.argmin([loss.sum() for loss in losses]))
+    best = int(np.argmin([loss.sum() for loss in lost]))
     chosen = next(i for i in range(best + 1) if i == best or not _better(
-        losses[best], losses[i]))
+        lost[best], lost[i]))
     if SHRINKS[chosen]:
         passed, classes, rest = np.split(
             solved(SHRINKS[chosen], None), [2, 2 + 2 * GAP_CLASSES])

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdavis_cv.pixel import features
 from pdavis_cv.pixel.frame_noise import learned_frame_noise
@@ -17,6 +16,7 @@ from pdavis_cv.pixel.rows import (
     Rows,
     fitted_noise,
     linearized,
+    losses,
     pairs_of,
     robust,
     thinned,
@@ -37,8 +37,9 @@ ROUNDS = 5
 COMMON_ERROR, COMMON_PAIRS = 30.0, 3.0
 """Prior of the design effect, and its weight in pairs: rows of a pair share errors."""
 
-COUNT_NOISE = 0.16
-"""Largest variance of the error of a difference of counts, thresholds^2."""
+COUNT_NOISE = 1 / 6
+"""Largest variance of the error of a difference of counts, thresholds^2: at both ends
+light may be anywhere within a threshold, whose variance is 1/12."""
 
 BETTER_REST = 0.02
 """Fall of -2 ln L per row for which another rest time is taken."""
@@ -58,23 +59,13 @@ MOST_LACKING = 1.7
 LEAST_WHOLE = 0.25
 """A choice: share of rows without missing events from which on others are left out."""
 
-STEADY = 0.1
-"""Variance of J within both exposures up to which a pair tells the black level: what
-moves more depends on what happens between events."""
-
 MODEL_ERROR = 0.02
 """Relative error of thresholds that a perfect fit leaves, of simulated cameras."""
 
 LEAST_KNOWN = 1.0
 """Relative error of thresholds by the data alone where frames tell nothing of them."""
 
-LOSS = 0.5
-"""Error of ln DN from which losses are robust."""
-
 RESTS_S = (1.0, 0.25)
-
-EM_STEPS = 10
-"""Steps of the gains' spread for each of the thresholds, in the end: EM is slow."""
 
 SPREAD = 0.15
 """Spread of the pixels' thresholds from which the fit starts, relative: sensors that
@@ -332,9 +323,8 @@ def _fitted(
         ms = float(np.median(pairs.ms))
         other = tried(_with(best, black=black or best.model.black or BLACK[0] / ms),
                       [*used, "black"])
-        (without, steady), (within, _) = (
-            _losses(data, pairs, one) for one in (best, other))
-        gain = np.bincount(pairs.pair, np.where(steady, without - within, 0))
+        without, within = (_losses(data, pairs, one) for one in (best, other))
+        gain = np.bincount(pairs.pair, without - within)
         enough = -1 if black else 1         # evidence against what was found before
         clearly = gain.sum() > enough * LOSS_OF_BLACK * np.sqrt(len(gain)) * gain.std()
         usual = other.model.black * ms > LEAST_BLACK
@@ -355,8 +345,7 @@ def _fitted(
         sigmas["shift"] = math.hypot(sigmas["shift"], priors.bandwidth_sigma[0] * (
             _lag_us(best.model.bandwidth, light)))
     # The lag belongs to the interpolation: the thresholds are fitted again without it.
-    best = _descended(data, every, priors, _changed(best, lag_us=0.0), {}, 3,
-                      steps=EM_STEPS)
+    best = _descended(data, every, priors, _changed(best, lag_us=0.0), {}, 3)
     best = _changed(best, sigmas={**sigmas, **best.sigmas})
     return _honest(data, every, priors, best)
 
@@ -400,12 +389,9 @@ def _honest(data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit) -> _Fit:
         **fit.sigmas, "off": math.sqrt(new[0]), "on": math.sqrt(new[1])})
 
 
-def _losses(data: Sampled, pairs: Pairs, fit: _Fit) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the loss of each row in ln DN, robust from LOSS on; which are steady."""
+def _losses(data: Sampled, pairs: Pairs, fit: _Fit) -> Floats:
     rows = _rows(data, pairs, fit)
-    error = (rows.residual(fit.model) * rows.jacobian) ** 2 / (
-        rows.frame_noise * rows.jacobian**2 + LOSS**2)
-    return 2 * (np.sqrt(1 + error) - 1), rows.blur < STEADY
+    return losses(rows, rows.residual(fit.model))
 
 
 def _mean_gap(data: Sampled, pairs: Pairs, fit: _Fit) -> float:
@@ -448,7 +434,7 @@ def _of_bandwidth(priors: Priors, i: int) -> _Number:
 def _descended(
     data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit,
     free: Mapping[str, _Number], rounds: int = ROUNDS,
-    prior: Mapping[str, _Number] | None = None, steps: int = 1,
+    prior: Mapping[str, _Number] | None = None,
 ) -> _Fit:
     """Return the fit after Gauss-Newton steps in the thresholds and `free` numbers."""
     fit = _changed(fit, cost=math.inf)
@@ -458,7 +444,7 @@ def _descended(
         if turn:
             old = fit = _with(fit, noise=fitted_noise(
                 rows, fit.model, rows.residual(fit.model)))
-            fit = _with_gains(rows, fit, steps)
+            fit = _with_gains(rows, fit)
             rows = rows.rescaled((1 + fit.gains) / (1 + old.gains),
                                  fit.model.theta / old.model.theta)
         fit = _likelihood(rows, fit, priors, free if prior is None else prior)
@@ -510,8 +496,8 @@ def _design_effect(rows: Rows, model: PixelModel) -> float:
         COMMON_PAIRS + number), 1.0))
 
 
-def _with_gains(rows: Rows, fit: _Fit, steps: int) -> _Fit:
-    """Return the fit with the pixels' gains, and their spread by steps of EM."""
+def _with_gains(rows: Rows, fit: _Fit) -> _Fit:
+    """Return the fit with the pixels' gains, and their spread by a step of EM."""
     used, pixel = rows.pairs.by_pixel
     n, (off, on) = len(used), rows.parts
     residual = rows.residual(fit.model)
@@ -519,14 +505,12 @@ def _with_gains(rows: Rows, fit: _Fit, steps: int) -> _Fit:
     residual += (fit.gains[:, rows.pairs.pixel] * rows.parts).sum(0)
     a, b, c, x, y = (np.bincount(pixel, k * each, n) for each in (
         off * off, off * on, on * on, off * residual, on * residual))
-    spread = fit.model.spread
-    for _ in range(steps):
-        inverse = 1 / spread**2
-        det = (a + inverse) * (c + inverse) - b * b
-        of_used = np.stack([(c + inverse) * x - b * y, (a + inverse) * y - b * x]) / det
-        spread = math.sqrt(np.mean(
-            (of_used - of_used.mean(1, keepdims=True)) ** 2
-            + np.stack([c + inverse, a + inverse]) / det))
+    inverse = 1 / fit.model.spread**2
+    det = (a + inverse) * (c + inverse) - b * b
+    of_used = np.stack([(c + inverse) * x - b * y, (a + inverse) * y - b * x]) / det
+    spread = math.sqrt(np.mean(
+        (of_used - of_used.mean(1, keepdims=True)) ** 2
+        + np.stack([c + inverse, a + inverse]) / det))
     # Integrated over the gains: what they fit of the noise is no likelihood.
     of_gains = float(inverse * (of_used**2).sum() + np.log(det / inverse**2).sum())
     # What all pixels have in common belongs to the thresholds.  No weights: those that

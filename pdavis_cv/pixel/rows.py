@@ -34,6 +34,9 @@ intervals between frames, for it to matter.  Choices."""
 LEAST_DN = 8
 """Least DN of a sample that is used."""
 
+LOSS = 0.5
+"""Error of ln DN from which the loss of a pair is robust."""
+
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
@@ -152,8 +155,6 @@ class Rows:
         Variance of both samples.
     parts : ndarray of float64, shape (2, N)
         Change by OFF and ON events.
-    blur : ndarray of float64, shape (N,)
-        Variance of J within the exposures, of both in sum.
     """
 
     feature: Floats
@@ -161,7 +162,6 @@ class Rows:
     jacobian: Floats
     frame_noise: Floats
     parts: Floats
-    blur: Floats
     pairs: Pairs
 
     @cached_property
@@ -217,15 +217,14 @@ def linearized(
     mean_dn, mean_ms = np.sqrt(pairs.dn[0] * pairs.dn[1]), pairs.ms.mean(0)
     return Rows(out[:12], logs[1] - logs[0] - out[12] + weights_of(model) @ out[:12],
                 (mean_dn + model.black * mean_ms) / mean_dn,
-                model.frame_variance(pairs.dn, pairs.ms).sum(0), out[14:], out[13],
-                pairs)
+                model.frame_variance(pairs.dn, pairs.ms).sum(0), out[13:], pairs)
 
 
 def _of_exposures(
     data: Sampled, pairs: Pairs, exposure: NDArray[np.int64],
     logs: Floats, model: PixelModel, gains: Floats, ahead_us: int, samples: int,
 ) -> Floats:
-    out = np.empty((16, len(pairs.pixel)))
+    out = np.empty((len(OF_SIGN) + 3, len(pairs.pixel)))
     _kernels.learning_rows(
         data.events, data.start, pairs.pixel, np.ascontiguousarray(exposure), ahead_us,
         np.ascontiguousarray(logs), samples, model.numbers, gains, out)
@@ -277,6 +276,12 @@ def robust(residual: Floats, variance: Floats) -> tuple[Floats, Floats]:
     """Return weights of pseudo-Huber residuals, and their cost."""
     root = np.sqrt(1 + residual * residual / variance)
     return 1 / variance / root, 2 * (root - 1)
+
+
+def losses(rows: Rows, residual: Floats) -> Floats:
+    """Return the loss of each row in ln DN, robust from LOSS on."""
+    return robust(residual * rows.jacobian,
+                  rows.frame_noise * rows.jacobian**2 + LOSS**2)[1]
 
 
 def fitted_noise(
