@@ -14,9 +14,7 @@
 #define FIRST_RATIO 0.25
 #define LAGS 5
 /* Gap before a turn of the light over that of the turn, a parabola that goes on by x
-   thresholds: (sqrt(1 + x) - sqrt x)^2.  Half of one, 2 - sqrt 3, if the pace is not
-   known; at the most one, 3 - 2 sqrt 2. */
-#define TURN 0.26794919243112271
+   thresholds: (sqrt(1 + x) - sqrt x)^2; at the most one, 3 - 2 sqrt 2. */
 #define EARLIEST_TURN 0.17157287525380990
 #define LEAST_LIVE 0.25         /* of the dead time, that a gap goes on after it */
 #define LEAST_GAP 1e-5          /* s: bounds of a ratio; below all that occurs */
@@ -59,6 +57,7 @@
 typedef struct {
     double rest;                /* s: a gap in which light is as likely still */
     double dead;                /* s: dead time after an event */
+    double turn;                /* of a parabola after a gap of unknown pace */
     double hz, hz_per_light;    /* corner frequency: Hz, Hz per DN/ms */
     double black;               /* DN/ms that frames lack */
     double alpha, beta, gamma;  /* noise: per s, of a change, per threshold (ln^2) */
@@ -131,9 +130,9 @@ PDAVIS_INLINE double lead_of(double slope, double light, const camera_t *c)
 }
 
 /* The gap before a turn of the light, of which one of this pace is q, s. */
-PDAVIS_INLINE double pace_of(double before, int known, double gap)
+PDAVIS_INLINE double pace_of(double before, int known, double gap, const camera_t *c)
 {
-    double q = known ? before / gap : TURN;
+    double q = known ? before / gap : c->turn;
     return gap * (q < EARLIEST_TURN ? EARLIEST_TURN : q > 1.0 ? 1.0 : q);
 }
 
@@ -156,7 +155,7 @@ PDAVIS_INLINE double weight_of(double gap, double before, int same, int run_befo
         return 1.0;
     if (same)
         return 1.0 + c->dead / live_of(gap, c);
-    before = pace_of(before, run_before > 1, gap);
+    before = pace_of(before, run_before > 1, gap, c);
     live = live_of(before, c);
     return gap * ((live + gap) / live_of(gap, c) - c->dead / live) / (before + gap);
 }
@@ -250,7 +249,7 @@ PDAVIS_INLINE void course_of(const around_t *a, const camera_t *c, double rise[2
         double p = moves(a->gap, c);
         rise[a->next_sign > 0] = a->next_sign * p * a->next_weight / a->gap;
         if (a->next_sign != a->sign && !a->flickers) {
-            double before = pace_of(a->before, a->context < 3, a->gap);
+            double before = pace_of(a->before, a->context < 3, a->gap, c);
             bend[on] = -a->sign * p * (1.0 / live_of(a->gap, c) + 1.0 / live_of(before, c))
                        / (before + a->gap);
             rise[on] = -bend[on] * a->gap;

@@ -29,7 +29,7 @@ cdef extern from "_increments.h" nogil:
     const double RESTS
     const double DOUBTFUL "PD_DOUBTFUL"
     ctypedef struct camera_t:
-        double rest, dead, hz, hz_per_light, black, alpha, beta, gamma, spread2
+        double rest, dead, turn, hz, hz_per_light, black, alpha, beta, gamma, spread2
         double[2] theta
         double[3] theta_cov
         double[2][5] by_class

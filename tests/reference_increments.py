@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 SAMPLES, SHORT_US, GATE, LEARN_EVENTS = 7, 1500, 16.0, 3
-RESTS, TURN, EARLIEST_TURN = 2.5, 2 - math.sqrt(3), 3 - 2 * math.sqrt(2)
+RESTS, EARLIEST_TURN = 2.5, 3 - 2 * math.sqrt(2)
 SMOOTH_FROM_S, KNOT = 0.045, 1.1
 CLAIM, SHOWN, HOT, MORE, LESS, HOT_MEMORY = 0.5, 0.25, 6.91, 4.5, 2.29, 8.0
 
@@ -51,7 +51,7 @@ class Pixel:
 
     def pace(self, k, gap):
         """The gap before event k, of a turn in the gap after it."""
-        q = TURN if self.context[k] == 3 else self.before[k] / gap
+        q = self.m.turn if self.context[k] == 3 else self.before[k] / gap
         return gap * min(max(q, EARLIEST_TURN), 1)
 
     def stands_for(self, gap, k, same):

@@ -15,7 +15,8 @@ from pdavis_cv.export.files import write_json
 from pdavis_cv.pixel.frame_noise import learned_frame_noise
 from pdavis_cv.pixel.learn import LearnedPixels, Priors, learn
 from pdavis_cv.pixel.model import PixelModel
-from pdavis_cv.pixel.sample import PAST_DTYPE, PixelSample
+from pdavis_cv.pixel.sample import PAST_DTYPE, PixelSample, Sampled
+from pdavis_cv.pixel.silences import turn_of
 from pdavis_cv.simulation import Camera, FlatLight, RotatingPlate, RotatingPolarizer
 
 pytestmark = pytest.mark.accuracy
@@ -192,6 +193,56 @@ def test_counts_between_known_events_equal_their_twin():
         events = polarity * np.diff(np.searchsorted(own, [then, at], "right"), axis=0)
         np.testing.assert_allclose(
             out[first:first + 5].sum(0), (1 + gains[i]) * events[0], atol=1e-4)
+
+
+def swinging(dolp):
+    """Return events of 40 pixels behind a polarizer at 2 turns/s, and their phases."""
+    rng, turns = np.random.default_rng(3), np.arange(0, 20, 1e-3)
+    phase, events, start = rng.uniform(0, 2 * np.pi, 40), [], [0]
+    for one in phase:
+        light = np.log(1 + dolp * np.cos(2 * np.pi * turns + one))
+        theta = 0.25 * rng.lognormal(0, 0.1)
+        level = light[0] + theta * rng.uniform(-0.5, 0.5)
+        for t, value in enumerate(light):
+            if abs(value - level) >= theta:
+                sign = math.copysign(1, value - level)
+                level += sign * theta
+                events.append((500 * t, sign))
+        start.append(len(events))
+    past = np.zeros(len(events), PAST_DTYPE)
+    past["t"], past["sign"] = np.array(events).T
+    none = np.zeros(0, np.int64)
+    return Sampled([], past, np.array(start, np.int64), none, none, none), phase
+
+
+@pytest.mark.parametrize(("dolp", "better"), [
+    (0.18, 0.7), (0.2, 0.6), (0.22, 0.5), (0.3, None), (0.6, None)])
+def test_counts_of_a_weak_wave_follow_it_later_without_its_own_turn(dolp, better):
+    data, phase = swinging(dolp)
+    model = PixelModel(theta=np.array([0.25, 0.25]), rest_s=10.0)
+    data = data.with_past(model.numbers)
+    pixel = np.repeat(np.flatnonzero(np.diff(data.start) > 8), 300).astype(np.int32)
+    at = np.tile(np.linspace(1_000_000, 9_000_000, 300), len(pixel) // 300).astype(int)
+    before = at - 125_000
+    z = 4e-6 * np.pi * np.stack([before, at]) + phase[pixel]
+    light = np.log(1 + dolp * np.cos(z))
+    slope = -dolp * np.sin(z) / (1 + dolp * np.cos(z)) * 4 * np.pi
+    gap_s = 10 / (np.diff(data.start)[np.unique(pixel)].mean())
+    lags, out = [], np.empty((15, len(at)))
+    for turn in (model.turn, turn_of(data)):
+        _kernels.learning_rows(
+            data.events, data.start, pixel, np.stack([[before, before], [at, at]]),
+            1 << 40, np.zeros((2, len(at))), 1, model.replace(turn=turn).numbers,
+            np.zeros((2, 40)), out)
+        x = np.stack([out[:2].sum(0), np.diff(slope, axis=0)[0]], 1)
+        found = np.linalg.lstsq(x, np.diff(light, axis=0)[0], rcond=None)[0]
+        lags.append(found[1] / gap_s)
+    if better is None:
+        assert turn_of(data) == pytest.approx(model.turn)
+        assert abs(lags[0]) < 0.03
+    else:
+        assert lags[0] > 0.04
+        assert abs(lags[1]) < better * lags[0]
 
 
 def test_the_mean_of_an_exposure_is_that_of_its_samples():

@@ -22,7 +22,7 @@ from pdavis_cv.pixel.rows import (
     thinned,
 )
 from pdavis_cv.pixel.sample import PixelSample, Sampled
-from pdavis_cv.pixel.silences import dead_time, learned_silences, table_of
+from pdavis_cv.pixel.silences import dead_time, learned_silences, table_of, turn_of
 
 STARTS_US = range(-10_000, 14_000, 2000)
 """Clock offsets from which the fit starts, us: the likeliest two are followed."""
@@ -44,8 +44,9 @@ light may be anywhere within a threshold, whose variance is 1/12."""
 BETTER_REST = 0.02
 """Fall of -2 ln L per row for which another rest time is taken."""
 
-LAG_OF_GAP = 0.035
-"""Standard deviation of the lag of interpolated counts, in mean gaps between events."""
+LAG = 0.01, 0.037
+"""Lag of interpolated counts, in mean gaps between events of a pixel, and its spread:
+of 48 simulated cameras (waves, texture, edges) whose clock and bandwidth were told."""
 
 EVIDENCE, EVIDENCE_OF_BLACK, LOSS_OF_BLACK, ERRORS_OF_BLACK = 4.0, 25.0, 3.0, 4.0
 """Fall of -2 ln posterior for which a number is taken that was not told: two standard
@@ -127,7 +128,7 @@ class LearnedPixels:
     sigmas : mapping of str to float
         Standard deviations: ``shift`` (us) of the clock offset, ``f0`` and ``slope``
         (of the logarithms), ``black`` (DN/ms), ``off`` and ``on`` (relative), and
-        ``lag`` (us) of the interpolation.
+        ``lag`` (in gaps) of the interpolation.
     gains : ndarray of float64, shape (2, K)
         Deviations of the sampled pixels' thresholds.
     exposure_ms : float
@@ -158,7 +159,7 @@ class _Fit:
 
     model: PixelModel
     shift_us: float
-    lag_us: float
+    lag: float                      # of interpolated counts, in gaps
     gains: Floats
     sigmas: Mapping[str, float]
     effect: float | None = None     # design effect, of the simplest model
@@ -233,7 +234,7 @@ def learn(
     every = pairs
     if pairs.whole.mean() > LEAST_WHOLE:
         pairs = pairs.part(pairs.whole)
-    fit = _with(fit, dead_s=dead_time(data))
+    fit = _with(fit, dead_s=dead_time(data), turn=turn_of(data))
     data = data.with_past(fit.model.numbers)
     fit = _fitted(data, pairs, priors, fit, before)
     fit = _with(fit, thresholds=fit.model.theta)
@@ -282,7 +283,7 @@ def _fitted(
                           rounds, {**prior, **held})
 
     first = tried(fit, (), 3)
-    numbers = _numbers(priors, _mean_gap(data, pairs, first), pairs)
+    numbers = _numbers(priors, pairs)
     starts = [tried(_changed(fit, shift_us=float(start)), (), 2, few)
               for start in {*STARTS_US, clock_us}] if "shift" in numbers else []
     starts.sort(key=lambda one: one.per_row)
@@ -345,7 +346,7 @@ def _fitted(
         sigmas["shift"] = math.hypot(sigmas["shift"], priors.bandwidth_sigma[0] * (
             _lag_us(best.model.bandwidth, light)))
     # The lag belongs to the interpolation: the thresholds are fitted again without it.
-    best = _descended(data, every, priors, _changed(best, lag_us=0.0), {}, 3)
+    best = _descended(data, every, priors, _changed(best, lag=0.0), {}, 3)
     best = _changed(best, sigmas={**sigmas, **best.sigmas})
     return _honest(data, every, priors, best)
 
@@ -394,22 +395,14 @@ def _losses(data: Sampled, pairs: Pairs, fit: _Fit) -> Floats:
     return losses(rows, rows.residual(fit.model))
 
 
-def _mean_gap(data: Sampled, pairs: Pairs, fit: _Fit) -> float:
-    """Return the mean time in which a pixel that moves passes a threshold, us."""
-    rows = _rows(data, pairs, fit)
-    passed = rows.passed[pairs.short].sum() / float(fit.model.theta.mean())
-    return 1e6 * float(pairs.seconds[pairs.short].sum()) / max(float(passed), 1.0)
-
-
-def _numbers(priors: Priors, gap_us: float, pairs: Pairs) -> dict[str, _Number]:
+def _numbers(priors: Priors, pairs: Pairs) -> dict[str, _Number]:
     every: dict[str, _Number] = {}
     if priors.clock_us[1] > 0:
         every["shift"] = _Number(
             *priors.clock_us, CLOCK_STEP_US, 1500.0, lambda f: f.shift_us,
             lambda f, x: _changed(f, shift_us=x))
     every["lag"] = _Number(
-        0.0, LAG_OF_GAP * gap_us, CLOCK_STEP_US, 1500.0, lambda f: f.lag_us,
-        lambda f, x: _changed(f, lag_us=x))
+        *LAG, 0.04, 0.1, lambda f: f.lag, lambda f, x: _changed(f, lag=x))
     ms = float(np.median(pairs.ms))
     mean, sigma = (dn / ms for dn in priors.black or (0.0, BLACK[1]))
     if sigma > 0 and pairs.whole.all():
@@ -461,7 +454,7 @@ def _descended(
 
 def _rows(data: Sampled, pairs: Pairs, fit: _Fit) -> Rows:
     return linearized(data, pairs, fit.model, fit.gains,
-                      fit.shift_us + fit.lag_us, EVER_US)
+                      fit.shift_us + fit.lag * pairs.gap_us, EVER_US)
 
 
 def _likelihood(
@@ -532,7 +525,7 @@ def _slopes(
     slopes: list[Floats] = []
     for name, one in free.items():
         if name == "lag" and "shift" in free:
-            slopes.append(slopes[-1])           # frames see the sum of both
+            slopes.append(slopes[-1] * pairs.gap_us)    # frames see the sum of both
             continue
         # In ln DN, and back: a larger black level makes all residuals smaller.
         ends = []

@@ -69,6 +69,8 @@ class PixelModel:
         DN/ms; zeros: no lag.
     rest_s, dead_s : float
         Gap (s) in which light is as likely still as moving (3), and dead time (4).
+    turn : float
+        q of (2b) after a gap of unknown pace; default: on by half a threshold.
     noise : (float, float, float)
         alpha (per s), beta (per change) and gamma (per threshold) of (8), ln^2.
     read_variance, shot : float
@@ -94,6 +96,7 @@ class PixelModel:
     bandwidth: tuple[float, float] = (0.0, 0.0)
     rest_s: float = 0.25
     dead_s: float = 0.0
+    turn: float = 2 - math.sqrt(3)
     noise: tuple[float, float, float] = (0.02, 0.004, 0.001)
     read_variance: float = 25.0
     shot: float = 0.1
@@ -164,7 +167,7 @@ class PixelModel:
         lags = np.where(np.any(self.own, 1) | np.any(self.cell, 1) | np.any(
             self.near, 1), self.lags_s, 0.0)
         return np.concatenate([np.ravel(each) for each in (
-            self.rest_s, self.dead_s, self.bandwidth, self.black, self.noise,
+            self.rest_s, self.dead_s, self.turn, self.bandwidth, self.black, self.noise,
             self.theta, self.theta_cov[0, 0], self.theta_cov[0, 1],
             self.theta_cov[1, 1], self.spread**2, self.by_class, self.end, self.bow,
             self.open_variance, lags, self.own, self.cell, self.near,
@@ -204,7 +207,8 @@ class PixelModel:
         like = cls(theta=np.ones(2))
         found: dict[str, Any] = {}
         for one in fields(cls):
-            usual, value = getattr(like, one.name), np.array(values[one.name], float)
+            usual = getattr(like, one.name)
+            value = np.array({"turn": like.turn, **values}[one.name], float)
             if value.shape != np.shape(usual) or not np.isfinite(value).all():
                 raise ValueError(f"model: {one.name} must be finite and have shape "
                                  f"{np.shape(usual)}, got {value.shape}")

@@ -55,6 +55,8 @@ class Pairs:
         Whether the frames follow each other.
     whole : ndarray of bool, shape (N,)
         Whether no events are missing between them.
+    gap_us : ndarray of float64, shape (N,)
+        Mean time between events of the pixel, of all its rows.
     """
 
     pixel: NDArray[np.int32]
@@ -64,12 +66,14 @@ class Pairs:
     exposure: NDArray[np.int64]
     short: NDArray[np.bool_]
     whole: NDArray[np.bool_]
+    gap_us: Floats
 
     def part(self, keep: NDArray[np.bool_]) -> Pairs:
         """Return some of the rows."""
         pair = np.unique(self.pair[keep], return_inverse=True)[1]
         return Pairs(self.pixel[keep], pair, self.dn[:, keep], self.ms[:, keep],
-                     self.exposure[..., keep], self.short[keep], self.whole[keep])
+                     self.exposure[..., keep], self.short[keep], self.whole[keep],
+                     self.gap_us[keep])
 
     @cached_property
     def seconds(self) -> Floats:
@@ -128,8 +132,12 @@ def pairs_of(data: Sampled, shift_us: float) -> Pairs | None:
                      np.stack([frames[k].dn[chosen] for k in (a, b)]),
                      np.where(ms > 0, ms, 1), exposure, np.full(len(chosen), short),
                      np.full(len(chosen), np.searchsorted(ends, mids[a], "right")
-                             == np.searchsorted(begins, mids[b]))))
-    return Pairs(*(np.concatenate(each, -1) for each in zip(*rows, strict=True)))
+                             == np.searchsorted(begins, mids[b])),
+                     (counts[mids[b]] - counts[mids[a]])[chosen]))
+    pairs = Pairs(*(np.concatenate(each, -1) for each in zip(*rows, strict=True)))
+    events, time = (np.bincount(pairs.pixel, each) for each in (
+        pairs.gap_us, np.diff(pairs.exposure.mean(1), axis=0)[0]))
+    return replace(pairs, gap_us=(time / np.maximum(events, 1))[pairs.pixel])
 
 
 def thinned(pairs: Pairs, most: int) -> Pairs:
@@ -206,10 +214,10 @@ def weights_of(model: PixelModel) -> Floats:
 
 def linearized(
     data: Sampled, pairs: Pairs, model: PixelModel,
-    gains: Floats, shift_us: float, ahead_us: int = 0,
+    gains: Floats, shift_us: float | Floats, ahead_us: int = 0,
 ) -> Rows:
-    """Return the regression at a model; frames are moved by shift_us."""
-    exposure = pairs.exposure + np.int64(round(shift_us))
+    """Return the regression at a model; frames are moved by shift_us, () or (N,)."""
+    exposure = pairs.exposure + np.rint(shift_us).astype(np.int64)
     long = int((exposure[:, 1] - exposure[:, 0]).max()) > SHORT_US
     logs = np.log(np.maximum(pairs.dn / pairs.ms + model.black, 1e-3))
     out = _of_exposures(data, pairs, exposure, logs, model, gains, ahead_us,

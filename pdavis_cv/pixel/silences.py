@@ -87,6 +87,26 @@ def learned_silences(
                          open_variance=variance.reshape(shape))
 
 
+def _gaps(data: Sampled) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which gaps are between events of one pixel, and of them of two signs."""
+    number = np.diff(data.start)
+    inside = np.diff(np.repeat(np.arange(len(number)), number)) == 0
+    return inside, inside & (np.diff(data.events["sign"]) != 0)
+
+
+def turn_of(data: Sampled) -> float:
+    """Return q of (2b) after a run of one event, as the share of such runs tells it.
+
+    If all are, light swings by one to two thresholds, and goes on by a quarter of one
+    in the mean before it turns; by almost one if few are, as it swings by almost three.
+    Half of one is what else is assumed.
+    """
+    inside, other = _gaps(data)
+    ones = (other[:-1] & other[1:]).sum() / max((other[:-1] & inside[1:]).sum(), 1)
+    on = min(1 - 0.75 * ones, 0.5)
+    return float((math.sqrt(1 + on) - math.sqrt(on)) ** 2)
+
+
 def dead_time(data: Sampled) -> float:
     """Return the dead time that the shortest gaps show, s, or 0.
 
@@ -94,10 +114,7 @@ def dead_time(data: Sampled) -> float:
     that turns makes no short gap), known to a fifth, and what is lost must matter.
     """
     gap = 1e-6 * np.diff(data.events["t"])
-    inside = np.ones(len(gap), np.bool_)
-    first = data.start[1:-1]
-    inside[first[(first > 0) & (first < len(data.events))] - 1] = False
-    other = inside & (np.diff(data.events["sign"]) != 0)
+    inside, other = _gaps(data)
     edges = []
     for chosen in (inside, other):
         few = np.sort(gap[chosen])[:8]
