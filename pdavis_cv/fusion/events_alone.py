@@ -209,13 +209,13 @@ def event_scale(
     few = misfit.part(_COARSE_CELLS)
     if few(0.0).mean() > math.log(VALID_QUALITY):
         return None     # noise: with thresholds stated too small it is far less
-    scale = _vertex(_GRID, np.array([few(x).mean() for x in _GRID]))
+    scale = vertex(_GRID, np.array([few(x).mean() for x in _GRID]))
     for step in _STEPS:
         x = scale + step * np.array([-1.0, 0.0, 1.0])
         found = np.array([misfit(one) for one in x])
-        scale = _vertex(x, found.mean(1))
+        scale = vertex(x, found.mean(1))
     # Macropixels are independent: each has a minimum of its own.
-    each = np.array([_vertex(x, one) for one in found.T])
+    each = np.array([vertex(x, one) for one in found.T])
     falls = misfit(0.0) - misfit(scale)
     n = math.sqrt(len(falls))
     fall = float(falls.mean())
@@ -226,7 +226,7 @@ def event_scale(
         and fall > max(_LEAST_FALL, _SIGMAS * float(falls.std()) / n))
 
 
-def _vertex(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
+def vertex(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
     """Return the minimum of the parabola through the least y and its neighbours.
 
     It is limited to the interval of those neighbours.

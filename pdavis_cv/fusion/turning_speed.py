@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdavis_cv.fusion.events_alone import vertex
 from pdavis_cv.recording.base import Recording
 from pdavis_cv.turning import turned
 
@@ -28,9 +29,10 @@ _LOBE_HZ = 2.25
 _GAIN, _DAMPING, _SLOWING = 0.784, 0.384, 0.064
 """Parts of a phase error by which phase, rate, and its change in a period follow it:
 those of a parabola through phases of which older ones fade by .6 (Morrison 1969)."""
-_BESIDE, _MISFIT = (6, 2), 8.0
-"""Phases to either side on whose parabola one is moved, as motors gain speed steadily;
-fewer where a square error of so many medians says that a motor begins or ends to."""
+_BESIDE, _MORE, _FEW, _MISFIT = 8, 11, 2, 8.0
+"""Phases to either side on whose parabola one is moved, as motors gain speed steadily.
+More are so at the ends, and where acceleration changes once, as a mean square error of
+so many of those with few phases says; the few are where it says so again."""
 _LINES = 8      # from one phase to the next, whose rate may change
 _PLACES = 0.5, 0.75, 0.25, 0.9, 0.1     # of a recording: a motor's start has no line
 _KEPT = 0.9
@@ -135,31 +137,47 @@ def _strongest(
             _CLEAR * np.median(power[wanted]), power[best // 2],
             _APART * np.max(power[around], initial=0.0)):
         return None
-    left, top, right = power[best - 1:best + 2]
-    bend = left - 2 * top + right
-    shift = (left - right) / (2 * bend) if bend else 0.0
-    return float(hz[best] + shift * (hz[1] - hz[0]))
+    near = slice(best - 1, best + 2)
+    return vertex(hz[near].astype(np.float64), -power[near])
 
 
 def _lines(knots: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return phases at times, (N, 2), smoothed, as lines from one to the next."""
-    from scipy.interpolate import CubicSpline
     at, angle = knots.T
     more, n = np.concatenate((2 * at[:1] - at[1], at, 2 * at[-1:] - at[-2])), len(at)
+    fine = np.interp(np.arange(-_LINES, _LINES * (n + 2) + 1) / _LINES,
+                     np.arange(n + 2), more)
 
-    def parabola(k: int, beside: int) -> tuple[float, float]:
+    def fit(k: int, beside: int, bends: bool = False) -> tuple[Any, float]:
+        """Return a parabola from the phase before to that behind, and its misfit."""
         first = max(min(k - 1 - beside, n - 2 * beside - 1), 0)
         near = slice(first, first + 2 * beside + 1)
-        fit, left, *_ = np.polyfit(at[near] - more[k], angle[near], 2, full=True)
-        return fit[-1], left.sum()
+        t, y, when = at[near] - more[k], angle[near], math.inf
+        if bends:   # to another one from some time on, whose slope is the same there
+            whens = np.linspace(t[1], t[-2], _LINES * (len(t) - 3) + 1)
+            basis = np.linalg.qr(np.vander(t, 3))[0]
+            rest = np.column_stack((y, np.maximum(t[:, None] - whens, 0) ** 2))
+            rest -= basis @ (basis.T @ rest)
+            told = (rest[:, 0] @ rest[:, 1:]) ** 2 / (rest[:, 1:] ** 2).sum(0)
+            when = vertex(whens, -told)
+        here, around = (np.column_stack((np.vander(x, 3), np.maximum(x - when, 0) ** 2))
+                        for x in (t, fine[_LINES * k:_LINES * (k + 2) + 1] - more[k]))
+        curve = np.linalg.lstsq(here, y, rcond=None)[0]
+        left = np.sum((here @ curve - y) ** 2)
+        return around @ curve, left / max(len(t) - 3 - 2 * bends, 1)
 
-    smooth, left = np.array([parabola(k, _BESIDE[0]) for k in range(n + 2)]).T
-    for k in np.flatnonzero(left > _MISFIT * np.median(left)).tolist():
-        smooth[k] = parabola(k, _BESIDE[1])[0]
-    fine = np.interp(np.arange(_LINES * (n + 1) + 1) / _LINES, np.arange(n + 2), more)
-    angle = CubicSpline(more, smooth)(fine)
-    rate = np.diff(angle) / np.diff(fine)
-    return np.stack([fine, angle, np.append(rate, rate[-1])], 1)
+    least = [fit(k, _FEW) for k in range(n + 2)]
+    most = _MISFIT * np.median([misfit for _, misfit in least])
+    smooth, share = np.zeros_like(fine), 1 - np.abs(np.linspace(-1, 1, 2 * _LINES + 1))
+    for k in range(n + 2):
+        one = fit(k, _BESIDE if _BESIDE < k <= n - _BESIDE else _MORE)
+        if one[1] > most and n > 2 * _FEW:
+            one = fit(k, _MORE, bends=True)
+        smooth[_LINES * k:_LINES * (k + 2) + 1] += share * (
+            one if one[1] <= most else least[k])[0]
+    fine, smooth = fine[_LINES:-_LINES], smooth[_LINES:-_LINES]
+    rate = np.diff(smooth) / np.diff(fine)
+    return np.stack([fine, smooth, np.append(rate, rate[-1])], 1)
 
 
 def _followed(
