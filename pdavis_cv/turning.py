@@ -2,8 +2,8 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,14 +12,16 @@ from pdavis_cv.steps import AnalyserSteps
 
 _LEAST_RPM, _MOST_RPM = 0.1, 60_000.0
 _MOST_PULSES = 4096
-_LOOSE = 0.25
-"""Deviation of a pulse from its time, in periods, that is accepted."""
-_LOST = 3
-"""Misfits in succession after which the period is measured anew.  So it is if most
-gaps have several periods, which are then parts of the true one."""
-_MEASURED, _ALIKE = 5, 1.8
-"""Pulses that tell a period, and the most that their largest gap is of the smallest: a
-false one, or one that is missing, makes it two at least."""
+_MEASURED, _COUNTED, _UNSURE = 5, 10, 3
+"""Pulses that tell a speed that is not stated; those that are counted together; and the
+last of them, whose faults do not show yet."""
+_EVEN, _ALIKE = 0.25, 1.8
+"""Change of a gap from one to the next, in parts of it, that no fault makes; and the
+most that the largest of gaps is of the smallest unless there is one or a motor starts.
+"""
+_FAULT, _FAULTS = 0.5, 3
+"""Parts of a pulse by which a fault, and gaps that are not alike, must come closer; and
+the most of them together."""
 _RECENT = 4096
 """Pulses that a clock keeps beside those it is given: events may be older than they."""
 
@@ -105,13 +107,13 @@ class TurningAnalyser:
         clock = PulseClock(self)
         clock.add([] if pulses_us is None else pulses_us)
         if len(clock.kept) == 1 and len(clock.recent) > 1:  # there are few
-            clock.measure(math.inf)
+            clock.count()
         if len(clock.kept) < 2:
             raise ValueError("the recording must have two trigger pulses or more, got "
                              f"{len(clock.kept)}")
-        t, a = np.array(clock.kept).T
-        rate = np.diff(a) / np.diff(t)
-        return np.stack([t, a, np.append(rate, rate[-1])], 1)
+        lines = clock.segments()
+        lines[:-1, 2] = lines[1:, 2]
+        return lines
 
     def steps(
         self, mid_us: ArrayLike, exposure_us: float, pulses_us: ArrayLike | None = None
@@ -143,36 +145,56 @@ def turned(segments: NDArray[np.float64], t: ArrayLike) -> NDArray[np.float64]:
 class PulseClock:
     """The angle of an analyser with `triggers` from its pulses as they come.
 
-    A pulse that comes too early is left out, and one that is missing is counted, so
-    that neither has an effect beyond its turn.  `kept` has the times of the last pulses
-    that fit, us, and twice the angle then.
+    The last ones are counted together, so that one that is false, or missing, has no
+    effect beyond its turn, also while a motor starts.  `kept` has the times of pulses,
+    us, and twice the angle then.
     """
 
     def __init__(self, analyser: TurningAnalyser) -> None:
         assert analyser.triggers is not None
         self._step = math.copysign(4 * math.pi / analyser.triggers, analyser.rpm or 1)
         self._phase = 2 * analyser.phase
-        self._period = self._nominal = None if analyser.rpm is None else (
+        self._nominal = None if analyser.rpm is None else (
             60e6 / abs(analyser.rpm) / analyser.triggers)
-        # Period before the last pulse that fits, and by how much that is off.
-        self._before: tuple[float, float] | None = None
-        self.recent: deque[float] = deque(maxlen=_MEASURED)
-        self._misfits = 0.0     # three times those of late, less pulses that follow
         self.kept: list[tuple[float, float]] = []
+        # Pulses that are counted together, and how many of `kept` they are.
+        self.recent: list[float] = []
+        self._open = 4 if self._nominal else 1
 
     def add(self, pulses_us: ArrayLike) -> None:
         """Add the times of pulses, increasing, not before those added earlier."""
         del self.kept[:-_RECENT]
-        for t in np.asarray(pulses_us, np.float64).ravel().tolist():
+        pulses, last = np.ravel(pulses_us).astype(np.float64), self.recent[-1:]
+        for t in pulses[np.diff(pulses, prepend=last or -math.inf) > 0].tolist():
             self.recent.append(t)
-            if not self.kept:
-                self.kept.append((t, self._phase))
-            elif self._period is not None:
-                off = {0: 3, 1: -1}.get(self._fit(t, self._period), 0.5)
-                self._misfits = max(self._misfits + off, 0)
-            if self._misfits >= 3 * _LOST or (
-                    self._period is None and len(self.recent) == _MEASURED):
-                self.measure()
+            if not self.kept:   # behind some that a stated speed tells
+                period, angle = self._nominal or 0, self._phase
+                self.kept = [(t + k * period, angle + k * self._step)
+                             for k in range(1 - self._open, 1)]
+                self.recent = [one for one, _ in self.kept]
+            elif 2 < self._open == len(self.recent) - 1 and abs(
+                    (t - self.recent[-2]) / (self.recent[-2] - self.recent[-3]) - 1
+            ) < _EVEN:
+                self.kept.append((t, self.kept[-1][1] + self._step))
+                self._open += 1
+            elif self._nominal or len(self.recent) >= _MEASURED:
+                self.count()
+            while len(self.recent) > _COUNTED:  # the first is decided, faults soon
+                self._open -= 1
+                (first, _), *rest = self.kept[-self._open:]
+                last = self.recent[-_UNSURE:]
+                self.recent = [first, *(one for one, _ in rest if one < last[0]),
+                               *(one for one in last if one > first)]
+
+    def count(self) -> None:
+        """Count the recent pulses together."""
+        t, n = _counted(np.array(self.recent))
+        if len(n) <= n[-1] < 2 * len(n):    # missing ones, as if speed changed evenly
+            from scipy.interpolate import PchipInterpolator
+            t, n = PchipInterpolator(n, t)(np.arange(n[-1] + 1)), np.arange(n[-1] + 1)
+        angle = self.kept[-self._open][1] + n * self._step
+        self.kept[-self._open:] = zip(t.tolist(), angle.tolist(), strict=True)
+        self._open = len(t)
 
     def segments(self) -> NDArray[np.float64]:
         """Return lines as `TurningAnalyser.segments` does, each from earlier pulses.
@@ -187,44 +209,35 @@ class PulseClock:
         rate = np.diff(a) / np.diff(t)
         return np.stack([t, a, np.append(rate[:1], rate)], 1)
 
-    def _fit(self, t: float, period: float) -> int:
-        """Keep a pulse about whole periods after the last one; return how many."""
-        last, angle = self.kept[-1]
-        if self._before is not None and t - last < self._before[0] / 2:
-            # It may lie where the last one should have, which was then a false one.
-            first, angle = self.kept[-2]
-            before, off = self._before
-            count = round((last - first) / before)
-            if abs((t - first) / before - count) > off:
-                return 0
-            self.kept.pop()
-            last, period = first, before
-        count = round((t - last) / period)
-        off = abs((t - last) / period - count)
-        if count < 1 or off > _LOOSE:
-            return 0
-        self.kept.append((t, angle + count * self._step))
-        self._before, self._period = (period, off), (t - last) / count
-        return count
 
-    def measure(self, most: float = _ALIKE) -> None:
-        """Take the period of the last pulses, and those that fit it.
+def _counted(t: Any) -> tuple[Any, Any]:
+    """Return pulses without those that are false, and numbers, but those that are lost.
 
-        The first ones tell it if no gap is `most` times another, or a motor starts.
-        """
-        gaps, zero = np.diff(self.recent), self.kept[0][0]
-        starts = bool((gaps[1:] < 0.98 * gaps[:-1]).all())
-        if self._period is None and not (starts or gaps.max() < most * gaps.min()):
-            return
-        self._before, self._misfits, self._period = None, 0, float(np.median(gaps))
-        if len(self.kept) == 1 and starts:      # each gap is one period
-            self.kept = [(t, self._phase + k * self._step)
-                         for k, t in enumerate(self.recent)]
-            self._period = float(gaps[-1])
-        elif len(self.kept) == 1:   # pulses that have left may be false ones
-            first = self.recent[int(self.recent[0] > zero)]
-            turned = round((first - zero) / self._period) * self._step
-            self.kept = [(first, self._phase + turned)]
-        for t in self.recent:
-            if t > self.kept[-1][0]:
-                self._fit(t, self._period)
+    They are alike, or come closest, each up to a pulse, to the parabola through the
+    three behind it.
+    """
+    def off(t: Any, n: Any) -> Any:
+        gaps = np.diff(t)
+        period, two = gaps / np.diff(n), gaps[..., :-1] + gaps[..., 1:]
+        change = np.diff(1 / period) / two
+        left = gaps[..., :-2] * two[..., :-1] * np.diff(change)
+        return np.minimum(np.abs(left), 1).sum(-1) + _FAULT * (
+            period.max(-1) > _ALIKE * period.min(-1))
+
+    n = np.arange(len(t))
+    for _ in range(_FAULTS):
+        period, k = np.diff(t) / np.diff(n), np.arange(len(t))
+        if len(t) < 4 or period.max() <= _ALIKE * period.min():
+            break
+        many = np.rint(np.diff(t) / np.median(period)).astype(np.int64) - 1
+        behind, other = k > k[:-1, None], k != k[1:, None]
+        lost = np.concatenate((n + behind, n + np.maximum(many, 1)[:, None] * behind))
+        rest = [np.broadcast_to(one, other.shape)[other].reshape(len(t) - 1, -1)
+                for one in (t, n - (k > k[1:, None]))]
+        left = np.concatenate((off(t, lost), off(*rest)))
+        best = int(np.argmin(left))
+        if left[best] + _FAULT >= off(t, n):
+            break
+        t, n = (t, lost[best]) if best < len(lost) else (
+            one[best - len(lost)] for one in rest)
+    return t, n

@@ -48,6 +48,64 @@ def test_a_fault_of_the_first_pulses_stays_in_them(n, k):
         assert np.abs((error + 0.25) % 0.5 - 0.25).max() < 1e-4
 
 
+@pytest.mark.parametrize("n", [1, 2, 12])
+@pytest.mark.parametrize("hz", [5, 20, 60])
+@pytest.mark.parametrize("k", [2, 3, 4, 7, 9])
+def test_a_fault_stays_in_its_turn_while_a_motor_starts(n, hz, k):
+    """The parabola of its neighbours tells it: a gap may be twice the next one."""
+    t, (at, turns) = pulses(hz, 4, n, ramp=2)
+    gap = t[k + 1] - t[k]
+    for bad in [np.delete(t, k), *(np.sort(np.append(t, t[k] + part * gap))
+                                   for part in (0.15, 0.5, 0.85))]:
+        first = np.interp(np.interp(t[k], at, turns) + 1 + 5 / n, turns, at)
+        times = np.linspace(first, 3.9e6, 500)
+        found, sound = (turned(TurningAnalyser(triggers=n).segments(one), times)
+                        for one in (bad, t))
+        assert np.abs((found - sound + 0.25) % 0.5 - 0.25).max() < 0.005
+        clock = PulseClock(TurningAnalyser(triggers=n))
+        for part in np.array_split(bad, 17):
+            clock.add(part)
+        found = turned(clock.segments(), times) - np.interp(times, at, turns)
+        assert np.abs((found + 0.25) % 0.5 - 0.25).max() < 0.08
+
+
+@pytest.mark.parametrize("speeds", [(0.02, 0.02, 1, 1), (1, 0.3, 0.3, 0.3)])
+def test_a_motor_that_starts_late_or_slows_down_is_counted(speeds):
+    t = np.linspace(0, 4, 200_001)
+    speed = 20 * np.interp(t, [0, 1, 2, 4], speeds)
+    turns = np.append(0, np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(t)))
+    which = np.arange(1, int(turns[-1] * 12)) / 12
+    segments = TurningAnalyser(triggers=12).segments(np.interp(which, turns, t) * 1e6)
+    times = np.linspace(2, 3.9, 500)
+    error = turned(segments, times * 1e6) - np.interp(times, t, turns) + which[0]
+    assert np.abs(error).max() < 2e-3
+
+
+@pytest.mark.parametrize("hz", [5, 20, 60])
+@pytest.mark.parametrize("ramp", [0.5, 2, 6])
+def test_a_stated_speed_may_be_that_after_a_start(hz, ramp):
+    t, (at, turns) = pulses(hz, ramp + 2, 12, ramp=ramp)
+    times = np.linspace(ramp + 0.3, ramp + 1.8, 100) * 1e6
+    error = turned(TurningAnalyser(triggers=12, rpm=60 * hz).segments(t), times
+                   ) - np.interp(times, at, turns)
+    assert np.abs(error).max() < 1e-3
+
+
+def test_a_pulse_that_comes_twice_counts_once():
+    t = 5e4 * np.arange(40)
+    analyser = TurningAnalyser(triggers=12)
+    np.testing.assert_array_equal(analyser.segments(np.repeat(t, 3)),
+                                  analyser.segments(t))
+
+
+@pytest.mark.parametrize("k", range(4))
+def test_a_stated_speed_tells_a_false_pulse_among_the_first(k):
+    t = 5e4 * np.arange(k + 3)
+    false = np.sort(np.append(t, 5e4 * (k + 0.4)))
+    segments = TurningAnalyser(triggers=4, rpm=300).segments(false)
+    np.testing.assert_allclose(turned(segments, t), np.arange(k + 3) / 4, atol=1e-9)
+
+
 def test_few_pulses_tell_the_angle_too():
     for count in 2, 3, 4:
         segments = TurningAnalyser(triggers=1).segments(5e4 * np.arange(count))
@@ -76,7 +134,8 @@ def test_pulses_as_they_come_give_the_angle_from_those_before():
 def test_phase_and_direction_of_pulses():
     t = np.arange(10) * 50_000
     segments = TurningAnalyser(triggers=2, rpm=-600, phase=0.3).segments(t)
-    np.testing.assert_allclose(segments[:, 1], 0.6 - 2 * np.pi * np.arange(10))
+    np.testing.assert_allclose(
+        turned(segments, t), 0.3 / (2 * np.pi) - np.arange(10) / 2)
     assert (segments[:, 2] < 0).all()
 
 
