@@ -77,20 +77,11 @@ class Analyser:
         return np.array(rows, np.float32)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restored_analyser, (self.response, self.solution)
+        return type(self), (self.response,)
 
     def __repr__(self) -> str:
         kind = "one for all pixels" if self.response.ndim == 2 else "per pixel"
         return f"Analyser({kind}, shape {self.response.shape})"
-
-
-def _restored_analyser(
-    response: NDArray[np.float64], solution: NDArray[np.float32]
-) -> Analyser:
-    analyser = Analyser.__new__(Analyser)
-    analyser.response, analyser.solution = response, solution
-    response.flags.writeable = solution.flags.writeable = False
-    return analyser
 
 
 def _least_squares(a: NDArray[np.float64]) -> NDArray[np.float32]:

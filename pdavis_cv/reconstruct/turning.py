@@ -91,23 +91,10 @@ class TurningRegression:
     own_sigma : float, or array_like of shape (H, W)
         Relative error of the mean of a pixel's own thresholds.
 
-    Attributes
-    ----------
-    half_us : float
-        Median time of half a turn, us; with a clock that after its last pulse.
-    segments : ndarray of float64, shape (M, 3)
-        Twice the angle of the analyser, as far as it is known.
-    lookahead_us : int
-        Time after an image whose events it uses.
-    common_sigma : float
-        Relative error that all thresholds have in common.
-    own_sigma : ndarray of float32, shape (H, W)
-        That of the mean of each pixel's thresholds, as it is known.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of range.
+    `half_us` is the median time of half a turn, with a clock that after its last pulse,
+    `lookahead_us` the time after an image whose events it uses; `segments` are known so
+    far, as are the relative errors `common_sigma` of all thresholds, and `own_sigma`,
+    (H, W), of the mean of each pixel's.
     """
 
     def __init__(

@@ -144,11 +144,7 @@ class Clock:
     def settled(self, out: NDArray[Any], *, final: bool = False) -> NDArray[Any]:
         """Return the events in memory from `room` that are accepted for good.
 
-        Parameters
-        ----------
-        out : ndarray of EVENT_DTYPE, shape (N,)
-        final : bool
-            Whether none follow.
+        `final` says that none follow.
         """
         left, done = self._settle(out, int(self.state[FILLED]), final)
         self._held = out[done:left]
@@ -157,12 +153,7 @@ class Clock:
     def moved(self, t: NDArray[np.int64], after_us: int) -> NDArray[np.int64]:
         """Return times of another stream of the piece that was settled last.
 
-        Parameters
-        ----------
-        t : ndarray of int64, shape (N,)
-            In the file, in its order.
-        after_us : int
-            Time of the last sample before.
+        They are in the order of the file, after a last sample at `after_us`.
         """
         before = t + self._offset_before
         fallen = np.maximum(np.maximum.accumulate(before), after_us) - before
@@ -171,11 +162,7 @@ class Clock:
     def order(self, samples: NDArray[Any], *, final: bool = False) -> NDArray[Any]:
         """Return the samples that are accepted for good, of those held and the next.
 
-        Parameters
-        ----------
-        samples : ndarray with a field t, shape (N,)
-        final : bool
-            Whether none follow.
+        They have a field t; `final` says that none follow.
         """
         if self._held is not None:
             samples = joined((self._held, samples))

@@ -47,14 +47,7 @@ class Table:
             raise PayloadError(f"it should be {identifier.decode()}, but is {found!r}")
 
     def vector(self, field: int, item: int) -> tuple[int, int]:
-        """Return the offset of the items of a vector, and their number.
-
-        Parameters
-        ----------
-        field : int
-        item : int
-            Bytes per item.
-        """
+        """Return the offset of a vector's items of so many bytes, and their number."""
         at, count = _kernels.aedat4_vector(self.data, field, item)
         if at < 0:
             raise PayloadError(
