@@ -45,8 +45,6 @@
 #define PD_MORE 4.5
 #define PD_LESS 2.29
 #define PD_HOT_MEMORY 8.0       /* frames, of the motion that replaces its events */
-#define SECOND 1e6              /* us: what a line is drawn through beyond a frame */
-#define LEAST_INTERVAL 1e3      /* us: of frames; no camera's are nearer */
 #define PD_UNKNOWN 1e3          /* variance of a pixel without a sample */
 #define PD_DOUBTFUL 9.0         /* squared sigmas: pixels contradict events */
 /* s since an event, and growth, of the times between which a silence is linear. */
@@ -101,11 +99,6 @@ PDAVIS_INLINE double goes_on(double gap, const camera_t *c)
     return left > 0.0 ? left / (1.0 - AT_REST) : 0.0;
 }
 
-PDAVIS_INLINE double lead_within(double u)
-{
-    return u > LEAD_MOST ? LEAD_MOST : u < LEAD_LEAST ? LEAD_LEAST : u;
-}
-
 /* Lead u of the light over the photoreceptor: u (f0 + k I e^u) = y' / 2 pi.  (5) */
 PDAVIS_INLINE double lead_of(double slope, double light, const camera_t *c)
 {
@@ -118,13 +111,12 @@ PDAVIS_INLINE double lead_of(double slope, double light, const camera_t *c)
     x = u * (1.0 - u * kl / (c->hz + kl));
     if (fabs(u) < LEAD_LINEAR)
         return x;
-    u = lead_within(x);
     for (k = 0; k < LEAD_STEPS; k++) {
+        u = x > LEAD_MOST ? LEAD_MOST : x < LEAD_LEAST ? LEAD_LEAST : x;
         x = kl * pd_exp((float)u);
-        x = (u * (c->hz + x) - right) / (c->hz + x * (1.0 + u));
-        u = lead_within(u - x);
-        if (fabs(x) < LEAD_ERROR)
-            break;
+        x = u - (u * (c->hz + x) - right) / (c->hz + x * (1.0 + u));
+        if (fabs(x - u) < LEAD_ERROR)
+            return x;
     }
     return u;
 }
@@ -163,13 +155,9 @@ PDAVIS_INLINE double weight_of(double gap, double before, int same, int run_befo
 /* Class of the gap before an event, and the share of the next class. */
 PDAVIS_INLINE int class_of(double gap, double *share)
 {
-    double x = 0.0;
-    int i;
-    if (gap > FIRST_GAP)
-        x = pd_log((float)gap / (float)FIRST_GAP) / LN_CLASS;
-    i = x < GAP_CLASSES - 2 ? (int)x : GAP_CLASSES - 2;
-    x -= i;
-    *share = x < 1.0 ? x : 1.0;
+    double x = gap > FIRST_GAP ? pd_log((float)gap / (float)FIRST_GAP) / LN_CLASS : 0.0;
+    int i = x < GAP_CLASSES - 2 ? (int)x : GAP_CLASSES - 2;
+    *share = x - i < 1.0 ? x - i : 1.0;
     return i;
 }
 
@@ -304,7 +292,7 @@ PDAVIS_INLINE void at_rest(
 }
 
 /* Its planes (see `show_row`), times from an epoch: from the frame before to the one
-   after, or as from either. */
+   after, or a second on from either; frames are a ms apart at least. */
 PDAVIS_INLINE void rest_planes(
     float ahead, float p_ahead, float behind, float p_behind, double common,
     double extra, double m0, double m1, double epoch, double alpha,
@@ -312,9 +300,9 @@ PDAVIS_INLINE void rest_planes(
     float *restrict grows, float *restrict bends)
 {
     int before = p_ahead >= 0.0f, after = p_behind >= 0.0f;
-    double t0 = before || !after ? m0 : m1 - SECOND, t1 = after ? m1 : t0 + SECOND;
+    double t0 = before || !after ? m0 : m1 - 1e6, t1 = after ? m1 : t0 + 1e6;
     double j0, j1, v0, v1, seconds, since = 1e-6 * (epoch - t0), bend, rate;
-    t1 = t1 > t0 + LEAST_INTERVAL ? t1 : t0 + LEAST_INTERVAL;
+    t1 = t1 > t0 + 1e3 ? t1 : t0 + 1e3;
     at_rest(t0, ahead, p_ahead, behind, p_behind, common, extra, m0, m1, alpha,
             &j0, &v0);
     at_rest(t1, ahead, p_ahead, behind, p_behind, common, extra, m0, m1, alpha,

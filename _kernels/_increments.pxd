@@ -11,8 +11,6 @@ cdef extern from "_increments.h" nogil:
     const double FIRST_RATIO
     const double LEAST_GAP
     const double LEAST_SILENCE
-    const double LEAD_LINEAR
-    const double PER_TURN "PER_TURN_2"
     const int64_t NEVER "PD_NEVER"
     const int64_t CHANGED "PD_CHANGED"
     const int64_t QUIET "PD_QUIET"

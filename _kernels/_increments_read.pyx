@@ -4,11 +4,11 @@ from libc.stdint cimport int32_t, int64_t, uint8_t, uint32_t
 from libc.string cimport memset
 
 from _kernels._increments cimport (
-    AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEAD_LINEAR, LEVEL,
-    NEVER, PER_TURN, PRIOR_ODDS, RESTS, SLOPE, SMOOTH_FROM, VARIANCE, anchor_t,
-    around_t, at_rest, camera_of, camera_t, course_of, course_t, drift_of, lead_of,
-    mean_at, node_t, pixel_t, rest_planes, rest_row, show_row, shown_t, silence_of,
-    silence_t, silent_variance, stored_t, weight)
+    AFTER, BEFORE, BENDS, CHANGED, FLICKERS, GROWS, HOT, KNOT, LEVEL, NEVER, PRIOR_ODDS,
+    RESTS, SLOPE, SMOOTH_FROM, VARIANCE, anchor_t, around_t, at_rest, camera_of,
+    camera_t, course_of, course_t, drift_of, lead_of, mean_at, node_t, pixel_t,
+    rest_planes, rest_row, show_row, shown_t, silence_of, silence_t, silent_variance,
+    stored_t, weight)
 from _kernels._increments_frames cimport (
     around_of, corner_of, frame_of, frame_t, lags_of, lags_t, node_of, open_since, say,
     silence_in, weigh_counts)
@@ -252,13 +252,8 @@ cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_
         log[0] = 0.0
         return
     j += u
-    if slope != 0.0 and (c.hz > 0.0 or c.hz_per_light > 0.0):
-        u = slope * PER_TURN / (c.hz + s.corner)
-        if fabs(u) > LEAD_LINEAR:
-            u = lead_of(slope, exp_f(<float>j) - c.black, c)
-        else:
-            u *= 1.0 - u * s.corner / (c.hz + s.corner)
-        j += u
+    if slope != 0.0:
+        j += lead_of(slope, exp_f(<float>j) - c.black, c)
     log[0] = j
 
 

@@ -12,10 +12,11 @@ from pdavis_cv.recording.base import ApsFrame, Recording
 
 _MAD = 1.4826
 """Standard deviation of a normal distribution per median absolute deviation."""
-_SIGMAS = 6.0
+SIGMAS = 6.0
 """Robust standard deviations of a hot or noisy pixel: one good pixel in 10^9 is."""
 _PLAUSIBLE = 0.5, 2.0
-"""Least and largest response of a pixel relative to the median."""
+"""Least and largest response of a pixel relative to the median: published arrays vary
+by up to 20 % [Powell 2013]."""
 
 
 class Mean(NamedTuple):
@@ -190,19 +191,19 @@ def dark_frame(frames: Recording | Iterable[ApsFrame]) -> Dark:
     center, spread = _robust(mean.mean)
     noise = np.where(mean.samples > 1, mean.noise, np.nanmedian(mean.noise))
     own = noise / np.sqrt(np.maximum(mean.samples, 1))
-    hot = dark - center > _SIGMAS * np.hypot(spread, own)
+    hot = dark - center > SIGMAS * np.hypot(spread, own)
     # The added DN of quantisation gives a scale to a sensor without any noise.
     log_noise = np.log(noise + 1)
     middle, scale = _robust(log_noise)
-    noisy = log_noise - middle > _SIGMAS * max(scale, 1 / np.sqrt(2 * n))
+    noisy = log_noise - middle > SIGMAS * max(scale, 1 / np.sqrt(2 * n))
     return Dark(dark.astype(np.float32), noise.astype(np.float32),
                 ~(hot | noisy) & (mean.samples > 0), n, clamped)
 
 
 _DEPTH = np.linspace(-2.5, 8, 211)
 """Grid of mean / sigma before censoring; below it, all of 100 samples would be 0."""
-_MOST_STEPS = 200
-_HALVINGS = 40
+_MOST_STEPS = 200   # of the converter, at least 3 sigma of the noisiest (64 steps)
+_HALVINGS = 40      # of a range of 2^9: far below rounding
 
 
 def _uncensored(mean: Mean) -> Mean:

@@ -17,7 +17,11 @@ from numpy.typing import NDArray
 from pdavis_cv.recording.base import Packet, Recording
 from pdavis_cv.sensor import CHANNELS, Layout
 
-_BIN_US = 1_000
+_BIN_US = 1_000         # 50 of them in the period of 600 RPM
+_MOST_CORRELATION, _LEAST_LEAD, _LEAST_CYCLES = -0.4, 0.2, 0.45
+"""Mean correlation of the pairs and its lead over other pairings from which a layout is
+told, where wrong ones reached -.3 and .14; and periods of the light: half of one less
+what the first and last bin may lack."""
 _PAIRINGS = (((0, 1), (2, 3)), ((0, 2), (1, 3)), ((0, 3), (1, 2)))
 
 ALL_LAYOUTS = tuple(Layout((a, b), (c, d)) for a, b, c, d in permutations(CHANNELS))
@@ -69,7 +73,7 @@ def _place_signals(
     height, width = recording.info.sensor_size
     x, y, w, h = roi or (0, 0, width, height)
     times, signal = _COLLECTORS[source](recording.packets(), (x, y, x + w, y + h))
-    if len(times) < 8:
+    if len(times) < 8:      # two numbers of each place are fitted
         raise ValueError(
             f"a layout needs at least eight samples of {source}, got {len(times)}")
     # The constant is the gain; the slope comes from unequal ON and OFF thresholds.
@@ -175,7 +179,8 @@ def detect_layout(
                              for i, j in pairing])) for pairing in _PAIRINGS]
     best, rival = np.argsort(scores)[:2]
     pairs = _PAIRINGS[best]
-    if scores[best] > -0.4 or scores[rival] - scores[best] < 0.2:
+    if scores[best] > _MOST_CORRELATION or (
+            scores[rival] - scores[best] < _LEAST_LEAD):
         raise ValueError(
             "the four places must see a rotating polarizer, but no pairing of them is "
             "anticorrelated: mean correlations are "
@@ -185,7 +190,7 @@ def detect_layout(
                                  signal[:, p] - signal[:, q]))
     turned = float(phase[-1] - phase[0])
     cycles = abs(turned) / (2 * np.pi)
-    if cycles < 0.45:
+    if cycles < _LEAST_CYCLES:
         raise ValueError(
             "the polarizer must turn by at least a quarter turn, but its light went "
             f"through {cycles:.2f} periods")

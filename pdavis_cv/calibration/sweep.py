@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pdavis_cv.calibration.frames import Mean, frames_of, mean_frame
+from pdavis_cv.calibration.frames import SIGMAS, Mean, frames_of, mean_frame
 from pdavis_cv.recording.base import ApsFrame, Recording
 
 _ROUNDS = 30
-"""Most iterations of a fit."""
+"""Most iterations of a fit; some five are needed."""
 _FULL_TURN = np.deg2rad(300)
-"""Smallest range of angles from which terms of period 360 degrees are fitted."""
+"""Range of angles, in steps up to 60 degrees, that tells the wander of the beam."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ def read_sweep(
         means.append(np.asarray(dn * factor, np.float32))
         variances.append(np.asarray(_error(mean) * factor**2, np.float32))
     distinct = len(np.unique(np.round(np.asarray(angles) % np.pi, 6)))
-    if distinct < 5:
+    if distinct < 5:    # three numbers of each pixel and two of the lamp
         raise ValueError(
             f"a sweep needs at least five different angles, got {distinct}")
     offset = np.asarray(
@@ -171,7 +171,7 @@ def _error(mean: Mean) -> NDArray[np.float64]:
         return np.full(mean.mean.shape, 1 / 12)
     # A pixel's own scatter over few frames is too uncertain for a weight.
     level, scatter = mean.mean[good], mean.noise[good] ** 2
-    if level.size < 100 or np.ptp(level) < 1:
+    if level.size < 100 or np.ptp(level) < 1:   # else to a tenth
         square = np.full(mean.mean.shape, float(np.mean(scatter)))
     else:
         slope, base = np.polyfit(level, scatter, 1)
@@ -220,7 +220,7 @@ def fit_sweep(sweep: Sweep) -> SweepFit:
         normal = np.einsum("apk,ap,apl->kl", design, some_weight, design)
         right = np.einsum("apk,ap->k", design, some_weight * (some - plain))
         new = np.linalg.solve(normal, right)
-        done = np.max(np.abs(new - light)) < 1e-7
+        done = np.max(np.abs(new - light)) < 1e-7     # rounding of DN
         light = new
         if done:
             break
@@ -234,7 +234,7 @@ def fit_sweep(sweep: Sweep) -> SweepFit:
     if usable.sum() < max(4, usable.size // 10):
         raise ValueError("a sweep needs light: hardly any pixel responds to it")
     typical = float(np.median(residual[usable]))
-    usable &= residual < 6 * typical
+    usable &= residual < SIGMAS * typical
     scale = 2 * float(np.median(response[0][usable]))
     covariance *= max(typical, 1e-9) ** 2
     # An offset has the effect of a response to unpolarized light.

@@ -10,11 +10,11 @@ from pdavis_cv.fusion.learning import Learned, Learning
 FIRST_LOOK_S = 0.1
 """Time of the first estimate from a passing stream, in s of stream time after the first
 frame; the next ones follow at 1.4 times, twice, 2.8 times ... that.  Engineering
-choice: two or three frames of the paper's cameras."""
+choice: two or three frames of the paper's cameras (lab.studies.constants)."""
 
 _DELAY = 1 / 8
 """An estimate from the first T seconds is applied after T / 8 more, as it is computed
-while the stream goes on.  Engineering choice."""
+while the stream goes on.  Engineering choice (lab.studies.constants)."""
 
 _AGAIN_US = 20_000
 """Stream time after which an estimate that is not there is asked for again, us."""

@@ -17,14 +17,17 @@ from pdavis_cv.pixel.rows import (
 from pdavis_cv.pixel.sample import Sampled
 
 SHRINKS = (0.0, 0.02, 0.05, 0.1, 0.2)
-"""Prior standard deviations of further weights, in thresholds: one is chosen."""
+"""Prior sigmas of weights, thresholds: one is chosen (lab.studies.constants)."""
 
 FOLDS = 4
-"""Blocks of pairs that are left out in turn."""
+"""Blocks of pairs that are left out in turn (lab.studies.constants)."""
+
+WITHIN = 0.1, 0.9
+"""Parts of exposures where changes by weights are seen (lab.studies.constants)."""
 
 SAME_SCALE = 1e3
 """Weight of the penalty on what further weights change in proportion to all events:
-that is the thresholds', which errors of counts would attenuate here."""
+the thresholds', which errors of counts attenuate (lab.studies.constants)."""
 
 
 def further_weights(
@@ -119,7 +122,7 @@ def _unseen(
 
     total: Floats = 0.0  # type: ignore[assignment]
     middle = there(0.5)
-    for at in (0.1, 0.9):
+    for at in WITHIN:
         within = there(at) - middle
         total = total + (within * weight[:, None]).T @ within / 2
     return total

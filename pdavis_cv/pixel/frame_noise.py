@@ -15,14 +15,14 @@ smoother."""
 
 LEAST, MOST = 100, 100_000
 """Samples that are looked at, at least and at most: a tenth of a sigma, and the time it
-takes."""
+takes (lab.studies.constants)."""
 
 FAR = 9.0
-"""Squared sigmas from which on what is left is light: it counts as this much."""
+"""Squared sigmas that what is left counts as at most (lab.studies.constants)."""
 
 DIM_DN = 26.0
 """Light below which the prior's noise is a fifth of it.  There it stays: it has room
-for the offsets of pixels, which are no noise but err as much."""
+for offsets of pixels, which are no noise but err as much (lab.studies.constants)."""
 
 
 def learned_frame_noise(data: Sampled, model: PixelModel) -> PixelModel:

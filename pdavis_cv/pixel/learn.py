@@ -32,52 +32,53 @@ CLOCK_STEP_US = 1000.0
 counts step where a rest ends, and their derivative over less is that of the steps."""
 
 ROUNDS = 5
-"""Gauss-Newton steps; the fit ends earlier once nothing moves by a tenth of a sigma."""
+"""Gauss-Newton steps, unless nothing moves by .1 sigma (lab.studies.constants)."""
 
 COMMON_ERROR, COMMON_PAIRS = 30.0, 3.0
-"""Prior of the design effect, and its weight in pairs: rows of a pair share errors."""
+"""Prior of the design effect, and its weight in pairs (lab.studies.constants)."""
 
 COUNT_NOISE = 1 / 6
 """Largest variance of the error of a difference of counts, thresholds^2: at both ends
 light may be anywhere within a threshold, whose variance is 1/12."""
 
 BETTER_REST = 0.02
-"""Fall of -2 ln L per row for which another rest time is taken."""
+"""Fall of -2 ln L per row that another rest time takes (lab.studies.constants)."""
 
 LAG = 0.01, 0.037
 """Lag of interpolated counts, in mean gaps between events of a pixel, and its spread:
 of 48 simulated cameras (waves, texture, edges) whose clock and bandwidth were told."""
 
-EVIDENCE, EVIDENCE_OF_BLACK, LOSS_OF_BLACK, ERRORS_OF_BLACK = 4.0, 25.0, 3.0, 4.0
+EVIDENCE, LOSS_OF_BLACK, SIGMAS = 4.0, 3.0, 4.0
 """Fall of -2 ln posterior for which a number is taken that was not told: two standard
-errors; and five for a black level, which must also lower the loss of pairs by three and
-be worth four of its own: it makes up for much that is not modelled (2 to 3 DN/ms were
-found where none was, 3.1 to 3.6 of their errors; true ones were 5 and more)."""
+errors.  A black level must lower the loss of pairs by three, and be worth four of its
+own (where none was, 2 to 3 DN/ms were 3.1 to 3.6 of them); by so many sigmas of the
+prior photoreceptors may be slower or faster (lab.studies.constants)."""
 
 MOST_LACKING = 1.7
 """A choice: usual lags that pixels without any lack at most, as the fit sees them."""
 
 LEAST_WHOLE = 0.25
-"""A choice: share of rows without missing events from which on others are left out."""
+"""Share of whole rows from which on others are left out (lab.studies.constants)."""
+
+STEADY = 0.1
+"""Variance of J within both exposures up to which a pair tells the black level: what
+moves more depends on what happens between events (lab.studies.constants)."""
 
 MODEL_ERROR = 0.02
-"""Relative error of thresholds that a perfect fit leaves, of simulated cameras."""
-
-LEAST_KNOWN = 1.0
-"""Relative error of thresholds by the data alone where frames tell nothing of them."""
+"""Relative error of thresholds that a perfect fit leaves (lab.studies.constants)."""
 
 RESTS_S = (1.0, 0.25)
 
 SPREAD = 0.15
 """Spread of the pixels' thresholds from which the fit starts, relative: sensors that
-were measured pixel by pixel have .1 (OFF) to .19 (ON)."""
+were measured pixel by pixel have .1 (OFF) to .19 (ON) (lab.studies.constants)."""
 
 EVER_US = 1 << 40
 """Look-ahead of the fit: a change is known best once the next event is."""
 
 MOST_SEARCHED, MOST_TRIED, MOST_FURTHER = (6000, 3000), 2000, 12_000
 """Rows in which numbers beside the thresholds are looked for, of short exposures and of
-long ones; those in which each clock offset is tried; and of further weights."""
+long ones; to try each clock offset; of further weights (lab.studies.constants)."""
 
 BLACK, LEAST_BLACK = (40.0, 40.0), 15.0
 """Black level from which the fit starts, and its prior standard deviation, DN; and the
@@ -229,7 +230,7 @@ def learn(
     prior = learned_frame_noise(data, prior_model(priors, lookahead_us, ms))
     fit = _Fit(learned_frame_noise(data, prior_model(
         replace(priors, model=None), lookahead_us, ms)), told, 0.0, gains, {})
-    if pairs is None or len(data.events) < 100:
+    if pairs is None:
         return LearnedPixels(model=prior, clock_offset_us=told, gains=gains, told=True)
     every = pairs
     if pairs.whole.mean() > LEAST_WHOLE:
@@ -240,8 +241,8 @@ def learn(
     fit = _with(fit, thresholds=fit.model.theta)
     model = learned_silences(data, fit.model.like(prior), lookahead_us)
     known = max(fit.sigmas["off"], fit.sigmas["on"])**-2 - priors.theta_sigma**-2
-    if known < LEAST_KNOWN**-2:
-        # Frames do not tell events from noise: what was told stays.
+    if known < 1:
+        # By frames alone thresholds err by more than themselves: what was told stays.
         model = model.replace(black=prior.black, bandwidth=prior.bandwidth)
         return LearnedPixels(model=model, clock_offset_us=told, gains=gains,
                              sigmas=fit.sigmas, told=True, exposure_ms=ms)
@@ -297,7 +298,7 @@ def _fitted(
                       for one in (first, *starts))
     best, law, lag, clock = first, ["f0", "slope"], ["lag"], ["shift", "lag"]
     f0, slope = priors.bandwidth
-    slowest = f0 * math.exp(-4 * priors.bandwidth_sigma[0]), slope
+    slowest = f0 * math.exp(-SIGMAS * priors.bandwidth_sigma[0]), slope
     slow = min((tried(one, [*lag, *law]) for one in (
         first, _with(first, bandwidth=slowest))), key=lambda one: one.cost)
     light = float(np.median(pairs.dn / pairs.ms))
@@ -324,15 +325,17 @@ def _fitted(
         ms = float(np.median(pairs.ms))
         other = tried(_with(best, black=black or best.model.black or BLACK[0] / ms),
                       [*used, "black"])
-        without, within = (_losses(data, pairs, one) for one in (best, other))
-        gain = np.bincount(pairs.pair, without - within)
+        without, within = (_rows(data, pairs, one) for one in (best, other))
+        fall = losses(without, without.residual(best.model)) - losses(
+            within, within.residual(other.model))
+        gain = np.bincount(pairs.pair, np.where(without.blur < STEADY, fall, 0))
         enough = -1 if black else 1         # evidence against what was found before
         clearly = gain.sum() > enough * LOSS_OF_BLACK * np.sqrt(len(gain)) * gain.std()
         usual = other.model.black * ms > LEAST_BLACK
-        if usual and clearly and other.cost < best.cost - enough * EVIDENCE_OF_BLACK:
+        if usual and clearly and other.cost < best.cost - enough * EVIDENCE:
             # With all numbers free: a small contrast does not tell it from them.
             sigma = _descended(data, pairs, priors, other, numbers, 1).sigmas["black"]
-            if black or other.model.black > ERRORS_OF_BLACK * sigma:
+            if black or other.model.black > SIGMAS * sigma:
                 best = other
     other = tried(_with(best, rest_s=RESTS_S[1]), (), 2)
     if other.per_row < best.per_row - BETTER_REST:
@@ -351,12 +354,12 @@ def _fitted(
     return _honest(data, every, priors, best)
 
 
-def _usual(priors: Priors, model: PixelModel, light: float, faster: float = 4) -> bool:
+def _usual(priors: Priors, model: PixelModel, light: float, up: float = SIGMAS) -> bool:
     """Whether photoreceptors are slower, or faster, than usual by few sigmas."""
     usual, found = (law[0] + law[1] * light for law in (
         priors.bandwidth, model.bandwidth))
     sigma = priors.bandwidth_sigma[0]
-    return found > 0 and -4 * sigma <= math.log(found / usual) <= faster * sigma
+    return found > 0 and -SIGMAS * sigma <= math.log(found / usual) <= up * sigma
 
 
 def _lag_us(law: tuple[float, float], light: float) -> float:
@@ -388,11 +391,6 @@ def _honest(data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit) -> _Fit:
     cov = np.array([[sigma[0]**2, shared], [shared, sigma[1]**2]])
     return _changed(_with(fit, theta=theta, theta_cov=cov), sigmas={
         **fit.sigmas, "off": math.sqrt(new[0]), "on": math.sqrt(new[1])})
-
-
-def _losses(data: Sampled, pairs: Pairs, fit: _Fit) -> Floats:
-    rows = _rows(data, pairs, fit)
-    return losses(rows, rows.residual(fit.model))
 
 
 def _numbers(priors: Priors, pairs: Pairs) -> dict[str, _Number]:
@@ -512,9 +510,8 @@ def _with_gains(rows: Rows, fit: _Fit) -> _Fit:
     of_used = (1 + of_used) / (1 + mean[:, None]) - 1
     gains = np.zeros_like(fit.gains)
     gains[:, used] = of_used
-    return _changed(_with(fit, spread=min(max(spread, 0.01), 0.3),
-                          theta=fit.model.theta * (1 + mean)), gains=gains,
-                    of_gains=of_gains)
+    return _changed(_with(fit, spread=spread, theta=fit.model.theta * (1 + mean)),
+                    gains=gains, of_gains=of_gains)
 
 
 def _slopes(

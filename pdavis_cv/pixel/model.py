@@ -22,10 +22,10 @@ real recording are told best by eleven of -40 to 32 ms, but each one costs time.
 _LAGS = len(PAST_S)
 
 SHORT_US, SAMPLES = 1500, 7
-"""Exposure up to which its middle is looked at, us; else at how many times it is."""
+"""Exposure whose middle is looked at, us, or how many times (lab.studies.constants)."""
 
 _LEAST_VARIANCE = 1e-4
-"""ln^2: what a sample errs by at least, one per cent; no pixel is exactly linear."""
+"""ln^2: a sample errs by one per cent at least (lab.studies.constants)."""
 
 
 def lags_of(lookahead_us: int) -> NDArray[np.float64]:
@@ -42,7 +42,7 @@ _LAGS_S = partial(np.array, PAST_S)
 _BY_LAG, _NOW = partial(_zeros, _LAGS, 2), partial(_zeros, 2)
 _END = partial(_zeros, CONTEXTS, RATIOS)
 _BOW = partial(np.full, (CONTEXTS, RATIOS), 0.5)
-_OPEN = partial(np.full, (CONTEXTS, RATIOS), 0.08)
+_OPEN = partial(np.full, (CONTEXTS, RATIOS), 1 / 12)    # anywhere in a threshold
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

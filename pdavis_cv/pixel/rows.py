@@ -15,27 +15,31 @@ from pdavis_cv.pixel.sample import Sampled
 Floats = NDArray[np.float64]
 
 SPANS = (1, 3, 9)
-"""Frames between both of a pair; long ones for pixels with few events."""
+"""Frames of a pair: 1 alone has 1.3 times the error of AoP at DoLP .1 and 20 RPM."""
 
 LEAST_PASSED, MOST_PASSED = 0.5, 3.0
-"""Events that a short pair has at least, and a third of a long one at most."""
+"""Least events of a pair, most of a third of a long one (lab.studies.constants)."""
 
 EDGE_US = 40_000
-"""Beyond the exposures, us, events also count as motion of the pair."""
+"""Beyond exposures, us, events count as motion too (lab.studies.constants)."""
 
 MOST_ROWS, MOST_PER_PAIR = 36_000, 1_200
-"""Upper bounds of rows, by pair as well: the time it takes."""
+"""Upper bounds of rows, by pair as well: the time it takes (lab.studies.constants)."""
 
 MISSING, OF_INTERVAL = 30.0, 0.2
 """Events that would come in a silence of all pixels at their mean rate, from which on
 they count as missing: so many do not fail to come by chance.  And its least length in
-intervals between frames, for it to matter.  Choices."""
+intervals between frames, for it to matter.  Choices (lab.studies.constants)."""
 
 LEAST_DN = 8
-"""Least DN of a sample that is used."""
+"""Least DN of a sample that is used (lab.studies.constants)."""
+
+LEAST_NOISE, LEAST_VARIANCE = (1e-3, 1e-4, 1e-5), 0.01
+"""Least alpha, beta and gamma of (8); and what is added to the variance of a squared
+residual, whose weight it bounds (lab.studies.constants)."""
 
 LOSS = 0.5
-"""Error of ln DN from which the loss of a pair is robust."""
+"""Error of ln DN from which the loss of a pair is robust (lab.studies.constants)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +82,7 @@ class Pairs:
     @cached_property
     def seconds(self) -> Floats:
         """Time between both middles."""
-        begin, end = 5e-7 * (self.exposure[1] - self.exposure[0])
-        seconds: Floats = begin + end
+        seconds: Floats = 5e-7 * (self.exposure[1] - self.exposure[0]).sum(0)
         return seconds
 
     @cached_property
@@ -121,7 +124,7 @@ def pairs_of(data: Sampled, shift_us: float) -> Pairs | None:
     hole = silence * len(data.t) > MISSING * silence.sum()
     hole &= silence > OF_INTERVAL * (mids[-1] - mids[0]) / (len(frames) - 1)
     begins, ends = data.t[:-1][hole], data.t[1:][hole]
-    most = min(MOST_PER_PAIR, max(MOST_ROWS // len(found), 40))
+    most = min(MOST_PER_PAIR, MOST_ROWS // len(found))
     rows = []
     for number, (a, b, short, chosen) in enumerate(found):
         if len(chosen) > most:
@@ -163,6 +166,8 @@ class Rows:
         Variance of both samples.
     parts : ndarray of float64, shape (2, N)
         Change by OFF and ON events.
+    blur : ndarray of float64, shape (N,)
+        Variance of J within the exposures, of both in sum.
     """
 
     feature: Floats
@@ -170,6 +175,7 @@ class Rows:
     jacobian: Floats
     frame_noise: Floats
     parts: Floats
+    blur: Floats
     pairs: Pairs
 
     @cached_property
@@ -184,7 +190,7 @@ class Rows:
 
     def noise_features(self, model: PixelModel) -> Floats:
         """Return the regressors of the variance (8): time, whether and how many."""
-        passed = self.passed / max(float(model.theta.mean()), 0.05)
+        passed = self.passed / float(model.theta.mean())
         return np.stack([self.pairs.seconds, np.minimum(passed, 1), passed])
 
     def variance(self, model: PixelModel) -> Floats:
@@ -225,14 +231,15 @@ def linearized(
     mean_dn, mean_ms = np.sqrt(pairs.dn[0] * pairs.dn[1]), pairs.ms.mean(0)
     return Rows(out[:12], logs[1] - logs[0] - out[12] + weights_of(model) @ out[:12],
                 (mean_dn + model.black * mean_ms) / mean_dn,
-                model.frame_variance(pairs.dn, pairs.ms).sum(0), out[13:], pairs)
+                model.frame_variance(pairs.dn, pairs.ms).sum(0), out[14:], out[13],
+                pairs)
 
 
 def _of_exposures(
     data: Sampled, pairs: Pairs, exposure: NDArray[np.int64],
     logs: Floats, model: PixelModel, gains: Floats, ahead_us: int, samples: int,
 ) -> Floats:
-    out = np.empty((len(OF_SIGN) + 3, len(pairs.pixel)))
+    out = np.empty((len(OF_SIGN) + 4, len(pairs.pixel)))
     _kernels.learning_rows(
         data.events, data.start, pairs.pixel, np.ascontiguousarray(exposure), ahead_us,
         np.ascontiguousarray(logs), samples, model.numbers, gains, out)
@@ -297,12 +304,12 @@ def fitted_noise(
 ) -> tuple[float, float, float]:
     """Return alpha, beta, gamma of (8) from squared residuals."""
     x = rows.noise_features(model)
-    excess = np.maximum(np.clip(residual**2, 0, 1) - rows.frame_noise, -0.2)
+    excess = np.minimum(residual**2, 1) - rows.frame_noise
     weight, noise = np.ones(len(residual)), np.zeros(3)
     for _ in range(4):
         square = (x * weight**2) @ x.T
         noise = nonnegative(square + 1e-9 * np.trace(square) * np.eye(3),
                             x @ (weight**2 * excess))
-        weight = 1 / (noise @ x + 0.01 + rows.frame_noise)
-    alpha, beta, gamma = np.maximum(noise, [1e-3, 1e-4, 1e-5])
+        weight = 1 / (noise @ x + LEAST_VARIANCE + rows.frame_noise)
+    alpha, beta, gamma = np.maximum(noise, LEAST_NOISE)
     return float(alpha), float(beta), float(gamma)

@@ -161,8 +161,7 @@ class PixelSample:
         dn = frame.dn.ravel()[self.pixels].astype(np.float64)
         usable = np.ones(len(dn), np.bool_) if frame.valid is None else (
             frame.valid.ravel()[self.pixels])
-        self._frames.append(SampledFrame(
-            dn, usable & (dn < 0.97 * frame.full_scale_dn), exposure))
+        self._frames.append(SampledFrame(dn, usable, exposure))
         self._forget()
 
     def _forget(self) -> None:

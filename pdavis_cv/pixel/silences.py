@@ -44,15 +44,20 @@ def table_of(lookahead_us: int) -> NDArray[np.float64]:
     return np.array(values).reshape(2, 4, 5)
 
 
-STRENGTH = 30.0
-"""Silences that the table of other cameras counts for."""
+STRENGTH, SAME = 30.0, 3.0
+"""Silences that others, and a variance of 1/12, count as (lab.studies.constants)."""
 
 SILENCES, PIXELS = 6_000, 2_000
-"""Most silences at each look, and pixels, that are looked at."""
+"""Most silences at each look, and pixels (lab.studies.constants)."""
 
 LATER_US = 25_000
 """How much more is known of the frame before than of the time of an image: half of an
 interval at 20 frames per second.  The table without a look-ahead has no bow: s = 1."""
+
+
+SHORTEST, LEAST_LOST, LARGEST_ERROR = 8, 0.02, 0.2
+"""Gaps that tell a dead time; the share of time that must be lost in it, and its
+largest relative error (lab.studies.constants)."""
 
 
 def learned_silences(
@@ -70,7 +75,7 @@ def learned_silences(
     every, targets = np.zeros((2, SILENCES, 2 * half)), np.zeros((2, SILENCES))
     n = 0
     if len(pixels):
-        times = max(20, min(400, 4 * SILENCES // len(pixels)))
+        times = 4 * SILENCES // len(pixels)     # a quarter are open
         at = np.sort(rng.uniform(data.t[0], data.t[-1], times)).astype(np.int64)
         n = sum(_kernels.learning_silences(
             data.events, data.start, pixels, rng.permutation(at), ahead, model.numbers,
@@ -81,7 +86,7 @@ def learned_silences(
     x = p + np.linalg.solve(rows.T @ rows + ridge, rows.T @ (target - rows @ p))
     basis = rows[:, :half] + rows[:, half:]
     square = ((basis * (target - rows @ x)[:, None]) ** 2).sum(0)
-    variance = np.clip((square + 0.24) / ((basis**4).sum(0) + 3), 0.002, 0.4)
+    variance = (square + SAME / 12) / ((basis**4).sum(0) + SAME)
     shape = (CONTEXTS, RATIOS)
     return model.replace(end=x[:half].reshape(shape), bow=x[half:].reshape(shape),
                          open_variance=variance.reshape(shape))
@@ -117,15 +122,13 @@ def dead_time(data: Sampled) -> float:
     inside, other = _gaps(data)
     edges = []
     for chosen in (inside, other):
-        few = np.sort(gap[chosen])[:8]
-        if len(few) < 8:
+        few = np.sort(gap[chosen])[:SHORTEST]
+        if len(few) < SHORTEST:
             return 0.0
-        step = (few[-1] - few[0]) / 7
+        step = (few[-1] - few[0]) / (SHORTEST - 1)
         edges.append((few[0] - step, math.hypot(step, 1e-6)))
     (edge, _), (of_other, error) = edges
     seconds = 1e-6 * float(data.t[-1] - data.t[0])
     rate = len(data.t) / seconds / max(int((np.diff(data.start) > 0).sum()), 1)
-    if edge > 5e-5 and edge * rate > 0.02 and error < 0.2 * edge and (
-            of_other - edge < 0.1 * edge + 3 * error):
-        return float(edge)
-    return 0.0
+    known = edge * rate > LEAST_LOST and error < LARGEST_ERROR * edge
+    return float(edge) if known and of_other - edge < 3 * error else 0.0

@@ -34,20 +34,20 @@ LOOKAHEAD_US = 50_000
 REST_S = 1.0
 """Gap in which light is as likely still as moving, s, if no `model` tells it.  Without
 frames, weak polarization that turns slowly needs at least this (measured on seeds 1001
-and 1002 at 30 RPM and DoLP .3; longer ones change nothing)."""
+and 1002 at 30 RPM and DoLP .3; longer ones change nothing) (lab.studies.constants)."""
 
 STEP_US = 2_000
-"""Interval at which the four channels are compared, us."""
+"""Interval at which the four channels are compared, us (lab.studies.constants)."""
 SOLVE_EVERY = 10
-"""Number of comparisons from one solution for the gains to the next."""
+"""Comparisons from one solution for gains to the next (lab.studies.constants)."""
 LEAST = 20
-"""Number of comparisons needed for the first solution."""
+"""Number of comparisons needed for the first solution (lab.studies.constants)."""
 
 WINDOW = 75.0
 """Memory of the moments, in comparisons (decay by 1/e); each macropixel counts those in
-which it had an event."""
+which it had an event (lab.studies.constants)."""
 MEMORY = 3000.0
-"""Memory of a pixel's balance of ON and OFF events, in events (decay by 1/e)."""
+"""Memory of a pixel's balance, events (decay by 1/e; lab.studies.constants)."""
 RATIO_SIGMA = 0.1
 """Prior standard deviation of ln(theta_on / theta_off) from pixel to pixel, before the
 events of the chip tell it: the geometric mean of 0.05 (3.5 % of each threshold, Brandli
@@ -61,7 +61,7 @@ line is an outlier: 98 % of lines err by less (lab/studies/redundancy_far.py).""
 PART_LEAST = 0.05
 """Bound of the fraction of ON, and of OFF, events; numerical."""
 PULL = 1e-3
-"""Ridge weight pulling the gains towards equal mean square, as relative variance."""
+"""Ridge pulling gains to equal mean square, variance (lab.studies.constants)."""
 VALID_QUALITY = 0.3
 """Ratio of the two smallest eigenvalues below which a pixel is valid.  It is far from
 1, the ratio where the data do not determine the gains; chosen on `nominal`."""

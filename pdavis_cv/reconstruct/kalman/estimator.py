@@ -51,7 +51,6 @@ LOOKAHEADS = {"buffered": 50_000, "causal": 0, "offline": 500_000}
 _REACH_US = 5_000 - round(1e6 * min(PAST_S))    # how far back events count, us
 _AHEAD_US = round(1e6 * max(AROUND_S))
 _LATE_US = 500_000      # how late a frame may come, us
-_GAINS_PER_US = 1e-4    # relative error of gains by that of stamps: a tenth per ms
 _PLANES, _PIXEL_NS = 5, 100.0   # of an image in the making; ns by listed pixel
 # As PD_UNKNOWN, PD_PRIOR_ODDS, PD_NEVER, PD_CHANGED and PD_QUIET of _increments.h.
 _UNKNOWN, _HOT, _NO_TIME = 1e3, 6.91, 1 << 62
@@ -233,7 +232,7 @@ class KalmanFilter(Reconstructor):
             self._begin_gains()
         old, self._given = self._model, learned.get("model", self._given)
         moved = learned.get("frames_moved_us", 0)
-        self._forget_gains(old, moved)
+        self._forget_gains(old)
         self._saturated.retune(self._model, self._ratio_sigma, self._thresholds)
         self._numbers = self._model.numbers
         if self._store.stop:
@@ -256,15 +255,13 @@ class KalmanFilter(Reconstructor):
                 frame.known_us = None
                 self._look(frame, known)
 
-    def _forget_gains(self, old: PixelModel, moved: int) -> None:
+    def _forget_gains(self, old: PixelModel) -> None:
         """Keep of the gains what another model could tell.
 
-        They hold in units of their spread, but may be wrong by as much as thresholds
-        and stamps were.
+        They hold in units of their spread, but may be as wrong as thresholds were.
         """
         variance = self._model.spread ** 2
-        wrong = np.hypot(
-            np.abs(np.log(self._model.theta / old.theta)).max(), _GAINS_PER_US * moved)
+        wrong = np.abs(np.log(self._model.theta / old.theta)).max()
         kept = variance / (variance + wrong**2)
         ratio = kept * self._model.spread / old.spread
         self._anchors["p"] *= np.array(

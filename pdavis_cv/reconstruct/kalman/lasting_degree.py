@@ -12,28 +12,25 @@ from pdavis_cv._workers import Workers
 from pdavis_cv.analyser import Analyser
 
 FRAMES = 10
-"""Memory of the mean and of its variance, frames: half a second of the paper's cameras.
-`lab/studies/lasting_degree.py` compares it with 5 and 20."""
+"""Memory of the mean and of its variance, frames: half a second of the paper's cameras
+(lab.studies.constants)."""
 
 LATE_FRAMES = 2
 """Memory, frames, of the variance that shows at once that the degree has changed.
-Engineering choice: a mean over the last frame alone would be that of 9 numbers."""
+A mean over the last frame would be of 9 numbers (lab.studies.constants)."""
 
 FIRST_ERROR = 0.1
-"""Error of the one comparison that is assumed before the first.  Engineering choice: so
-the degree has to last for a frame or two in all neighbours before it counts."""
+"""Error of the one comparison that is assumed before the first: the degree has to last
+for a frame or two in all neighbours before it counts (lab.studies.constants)."""
 
 SURE = 10.0
 """The degree is used where it is more than this many times its sigma: unpolarized light
 with structure has an apparent degree.  Chosen on the real DAVIS346, which has no
-polarizers: 5 raises the error of its moving pixels by 0.1 %, 10 by less than 0.03 %.
-`lab/studies/lasting_degree.py` compares both with 20 on other specimens."""
+polarizers: 5 raises the error of its moving pixels by 0.1 %, 10 by less than 0.03 %
+(lab.studies.constants: other cameras)."""
 
 _CELL_NS = 9
 """Time that a macropixel takes in an image, ns."""
-
-_MEMORIES = (FRAMES,) * 3 + (LATE_FRAMES,) * 2
-"""Of the sums over neighbours in `LastingDegree._planes`."""
 
 
 class LastingDegree:
@@ -63,7 +60,7 @@ class LastingDegree:
         # Mean, frames in it, error of its last prediction; over neighbours, products of
         # errors that follow each other, squared errors and their number, and these two
         # with the short memory.
-        self._planes = np.zeros((3 + len(_MEMORIES), *size), np.float32)
+        self._planes = np.zeros((3 + 3 + 2, *size), np.float32)
         # Degree, variance and share, as `_kernels.lasting_degree` takes them.
         self._lasting = np.zeros((3, *size), np.float32)
         if response is None:
@@ -105,8 +102,8 @@ class LastingDegree:
             _sum_around(one) for one in (error * last, error * error, compared))
         product, total, count, late, late_count = sums = [
             (1 - 1 / memory) * one + more for memory, one, more in zip(
-                _MEMORIES, sums, (products, squares, number, squares, number),
-                strict=True)]
+                (FRAMES,) * 3 + (LATE_FRAMES,) * 2, sums,
+                (products, squares, number, squares, number), strict=True)]
         variance = (total + FIRST_ERROR**2) / (count + 1)
         latest = late / np.maximum(late_count, 1)
         # What errors of consecutive frames share is not noise of a frame.

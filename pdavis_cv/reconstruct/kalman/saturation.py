@@ -18,7 +18,7 @@ from pdavis_cv.recording.base import ApsFrame
 
 VALID_VARIANCE = 0.25
 """An estimate is valid up to this variance of log intensity (ln^2), without the part
-that the uncertain lag adds.  Engineering choice: a sigma of 0.5 ln."""
+that the uncertain lag adds: a sigma of 0.5 ln (lab.studies.constants)."""
 
 EXCESS = 1.2
 """Inflation of the variance from `EventRedundancy`, which counts its comparisons only.
@@ -27,7 +27,7 @@ for up to 2.5, but in dim light the filter's own variance is too small as well."
 
 DIM_VARIANCE = 0.04
 """Variance (ln^2) of read and shot noise above which a sample counts as dim: a relative
-error of 20 %, reached at 11 DN."""
+error of 20 %, reached at 11 DN (lab.studies.constants)."""
 
 EARLY_US = 500_000
 """How much of the events before the first frame is kept, us, as a frame may arrive this
@@ -35,7 +35,7 @@ long after its mid-exposure.  Longer than any exposure and readout of these came
 
 PRIOR_SIGMA = 0.3
 """Prior sigma (ln) if a macropixel's four channels are assumed to have equal mean
-squares."""
+squares (lab.studies.constants)."""
 
 COLUMNS = 128
 """Macropixels in a row of the virtual sensor, which threads share by rows: near the
