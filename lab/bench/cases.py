@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdavis_cv.events import EVENT_DTYPE
+from pdavis_cv.reconstruct.base import Reconstructor, Snapshot
 from pdavis_cv.reconstruct.cf import ComplementaryFilter
 from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.sensor import Layout
@@ -124,6 +125,29 @@ def event_input(kind: str) -> NDArray[Any]:
     return events
 
 
+def packets_of(events: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return events in packets."""
+    return [events[i:i + PACKET] for i in range(0, EVENTS, PACKET)]
+
+
+def fed(method: Reconstructor, fresh: Snapshot, packets: list[NDArray[Any]]) -> float:
+    """Return the seconds in which a method, restored to `fresh`, takes packets."""
+    method.restore(fresh)
+    start = thread_time()
+    for packet in packets:
+        method.add_events(packet)
+    return thread_time() - start
+
+
+def summed(floor_sum: Callable[..., int], step: NDArray[np.float32],
+           plane: NDArray[np.float32], packets: list[NDArray[Any]]) -> float:
+    """Return the seconds in which the floor sums the steps of packets."""
+    start = thread_time()
+    for packet in packets:
+        floor_sum(packet, step, plane)
+    return thread_time() - start
+
+
 @case("cf", "cf.add_events, adaptive gain, against floor_sum", 0.25)
 def _cf() -> Iterator[Comparison]:
     floor_sum, theta = compiled_floor(), 0.2
@@ -136,24 +160,9 @@ def _cf() -> Iterator[Comparison]:
     plane = np.zeros(SHAPE, np.float32)
     for kind in ("uniform", "clustered"):
         events = event_input(kind)
-        packets = [events[i:i + PACKET] for i in range(0, EVENTS, PACKET)]
+        packets = packets_of(events)
 
-        def candidate(packets: list[NDArray[Any]] = packets) -> float:
-            cf.restore(fresh)
-            start = thread_time()
-            for packet in packets:
-                cf.add_events(packet)
-            return thread_time() - start
-
-        def floor(packets: list[NDArray[Any]] = packets) -> float:
-            start = thread_time()
-            for packet in packets:
-                floor_sum(packet, step, plane)
-            return thread_time() - start
-
-        def check(
-            events: NDArray[Any] = events, candidate: Callable[[], float] = candidate
-        ) -> None:
+        def check(events: NDArray[Any] = events) -> None:
             # One weight per event: the sum of p exp(-m (t_stop - t) / tau).
             gain = _adaptive_gain(frame.dn)[events["y"], events["x"]]
             rate = gain * 2e-6 * np.pi * 1.6
@@ -161,17 +170,18 @@ def _cf() -> Iterator[Comparison]:
             weight = weight * np.exp(-rate * (stop - events["t"]))
             pixel = events["y"].astype(np.intp) * SHAPE[1] + events["x"]
             total = np.bincount(pixel, weight, SHAPE[0] * SHAPE[1]).reshape(SHAPE)
-            candidate()
+            fed(cf, fresh, packets_of(events))
             np.testing.assert_allclose(
                 cf.read(stop).log_intensity, np.log(frame.dn / 2.0) + total,
                 rtol=0, atol=1e-5)
             plane.fill(0)
-            floor()
+            floor_sum(events, step, plane)
             want = np.zeros_like(plane)
             np.add.at(want, (events["y"], events["x"]), step[events["p"]])
             np.testing.assert_array_equal(plane, want)
 
-        yield Comparison(kind, check, candidate, floor,
+        yield Comparison(kind, check, partial(fed, cf, fresh, packets),
+                         partial(summed, floor_sum, step, plane, packets),
                          lambda s: EVENTS / s / 1e6, "Mev/s")
 
 

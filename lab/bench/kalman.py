@@ -1,9 +1,9 @@
 """What `python -m lab.bench` times of the Kalman method."""
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
-from time import process_time, thread_time
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -15,30 +15,19 @@ from pdavis_cv.recording.base import ApsFrame
 from pdavis_cv.recording.memory import recording_from_arrays
 from pdavis_cv.sensor import Layout
 
-from .cases import EVENTS, PACKET, SHAPE, Comparison, case, event_input
+from .cases import EVENTS, SHAPE, Comparison, case, event_input, fed, packets_of, summed
 from .floor import compiled_floor
 
 THETA = 0.2
 KINDS = ("uniform", "clustered")
 
 
-def _floor(
-    floor_sum: Callable[..., int], packets: list[NDArray[Any]]
-) -> float:
-    plane = np.zeros(SHAPE, np.float32)
-    step = np.array([-THETA, THETA], np.float32)
-    start = thread_time()
-    for packet in packets:
-        floor_sum(packet, step, plane)
-    return thread_time() - start
-
-
-def _packets(events: NDArray[Any]) -> list[NDArray[Any]]:
-    return [events[i:i + PACKET] for i in range(0, EVENTS, PACKET)]
+def _floor(events: NDArray[Any]) -> partial[float]:
+    return partial(summed, compiled_floor(), np.array([-THETA, THETA], np.float32),
+                   np.zeros(SHAPE, np.float32), packets_of(events))
 
 
 def _add_events(mode: str) -> Iterator[Comparison]:
-    floor = partial(_floor, compiled_floor())
     method = KalmanFilter(SHAPE, theta_on=THETA, theta_off=THETA, mode=mode)
     # The four pixels of a macropixel see the same light: no degree of polarization that
     # lasts moves the images.
@@ -51,17 +40,9 @@ def _add_events(mode: str) -> Iterator[Comparison]:
     fresh = method.snapshot()
     for kind in KINDS:
         events = event_input(kind)
-        packets = _packets(events)
-
-        def candidate(packets: list[NDArray[Any]] = packets) -> float:
-            method.restore(fresh)
-            start = thread_time()
-            for packet in packets:
-                method.add_events(packet)
-            return thread_time() - start
 
         def check(events: NDArray[Any] = events) -> None:
-            candidate(_packets(events))
+            fed(method, fresh, packets_of(events))
             stop = 2_000_000
             pixel = events["y"].astype(np.intp) * SHAPE[1] + events["x"]
             pixel = np.append(pixel, none["y"].astype(np.intp) * SHAPE[1] + none["x"])
@@ -72,8 +53,8 @@ def _add_events(mode: str) -> Iterator[Comparison]:
             # What is read beyond the last event is less than a threshold.
             assert np.abs(log - total.reshape(SHAPE)).max() < THETA
 
-        yield Comparison(kind, check, candidate, partial(floor, packets),
-                         lambda s: EVENTS / s / 1e6, "Mev/s")
+        yield Comparison(kind, check, partial(fed, method, fresh, packets_of(events)),
+                         _floor(events), lambda s: EVENTS / s / 1e6, "Mev/s")
 
 
 @case("kalman-causal", "kalman.add_events, causal, against floor_sum", 0.15)
@@ -88,7 +69,6 @@ def _buffered() -> Iterator[Comparison]:
 
 @case("learning", "the camera at 20 frames/s, against floor_sum", 150, by_time=True)
 def _learning() -> Iterator[Comparison]:
-    floor = partial(_floor, compiled_floor())
     rng = np.random.default_rng(2)
     frames = [ApsFrame(rng.uniform(50, 900, SHAPE), start, start + 20_000,
                        available_us=start + 32_000)
@@ -109,5 +89,5 @@ def _learning() -> Iterator[Comparison]:
             assert np.all(np.isfinite(found.model.theta) & (found.model.theta > 0))
             assert np.all(np.linalg.eigvalsh(found.model.theta_cov) > 0)
 
-        yield Comparison(kind, check, candidate, partial(floor, _packets(events)),
+        yield Comparison(kind, check, candidate, _floor(events),
                          lambda s: 1e3 * s, "ms")

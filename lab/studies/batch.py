@@ -30,7 +30,6 @@ from pdavis_cv import (
 )
 from pdavis_cv.simulation import Camera, named_scene
 
-TURNS = 7       # interleaved; odd, for the median
 SIZE, SECONDS, RPM = (32, 32), 1.0, 300.0   # of each simulated recording
 KALMAN = FusionOptions(method="kalman", fps=100, layout="pdavis")
 

@@ -8,7 +8,7 @@ import pytest
 STUDIES = Path(__file__).resolve().parent.parent / "studies"
 NAMES = sorted(path.stem for path in STUDIES.glob("*.py") if path.stem != "common")
 LONG = ("batch", "demosaic_constants", "demosaic_events", "event_scale",
-        "lamp_detection", "lasting_degree")
+        "lamp_detection", "constants")
 
 
 @pytest.fixture
