@@ -209,7 +209,7 @@ PDAVIS_INLINE silence_t silence_of(const around_t *a, const camera_t *c)
     out.open = o[0] + share * (o[1] - o[0]);
     if (ratio < FIRST_RATIO) {
         end = c->end[a->context][0] * ratio / FIRST_RATIO;
-        out.open = c->open[a->context][0] * (0.2 + 0.8 * ratio / FIRST_RATIO);
+        out.open = c->open[a->context][0];
     }
     z = a->sign * on / length;
     out.rise = z * (end + bow);

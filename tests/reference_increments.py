@@ -104,7 +104,6 @@ class Pixel:
             first, second = m.bow[self.context[k], :2]
             bow = 4 * (first + (4 * r - 1) * (second - first))
             end *= r / 0.25
-            v *= 0.2 + 0.8 * r / 0.25
         z = goes_on(max(length, before), m)
         part[on] = sign * z * s * (end + bow * (1 - s))
         rate[on] = sign * z * (end + bow * (1 - 2 * s)) / length
