@@ -130,21 +130,21 @@ def learning_rows(const past_t[::1] events not None, const int64_t[::1] start no
 
     exposure (frame, begin and end, N) are times, us; images know events up to `ahead`
     beyond them, and the first also those of the second.  log (2, N) is ln(I + black) of
-    the frames, gains (2, pixels) those of the pixels, OFF and ON.  out (16, N) receives
-    the differences of both: M-, M+ and counts by class, each times 1 + gain, and h; the
-    variance of J, of both in sum; and the change by OFF and by ON events, without gain.
+    the frames, gains (2, pixels) those of the pixels, OFF and ON.  out (15, N) receives
+    the differences of both: M-, M+ and counts by class, each times 1 + gain, and h; and
+    the change by OFF and by ON events, without gain.
     """
     cdef Py_ssize_t i, n = pixel.shape[0], pixels = start.shape[0] - 1
     cdef const camera_t* c = camera_of(camera)
     cdef const past_t* all_ = &events[0] if events.shape[0] else NULL
-    cdef double[2][COUNTS + 2] f
+    cdef double[2][COUNTS + 1] f
     cdef double off, on
     cdef int64_t low, high
     cdef int j
     check_starts(start, events.shape[0])
     if (samples < 1 or samples > MOST_SAMPLES or exposure.shape[0] != 2
             or exposure.shape[1] != 2 or exposure.shape[2] != n or log.shape[0] != 2
-            or log.shape[1] != n or out.shape[0] != COUNTS + 4 or out.shape[1] != n):
+            or log.shape[1] != n or out.shape[0] != COUNTS + 3 or out.shape[1] != n):
         raise ValueError("learning_rows: arrays must have one column per row")
     if gains.shape[0] != 2 or gains.shape[1] != pixels:
         raise ValueError("learning_rows: gains must have one column per pixel")
@@ -163,13 +163,12 @@ def learning_rows(const past_t[::1] events not None, const int64_t[::1] start no
             for j in range(COUNTS + 1):
                 f[1][j] -= f[0][j]
             out[COUNTS, i] = f[1][COUNTS]
-            out[COUNTS + 1, i] = f[0][COUNTS + 1] + f[1][COUNTS + 1]
-            out[COUNTS + 2, i] = c.theta[0] * f[1][0]
-            out[COUNTS + 3, i] = c.theta[1] * f[1][1]
+            out[COUNTS + 1, i] = c.theta[0] * f[1][0]
+            out[COUNTS + 2, i] = c.theta[1] * f[1][1]
             out[0, i], out[1, i] = off * f[1][0], on * f[1][1]
             for j in range(CLASSES):
-                out[COUNTS + 2, i] += c.by_class[0][j] * f[1][2 + j]
-                out[COUNTS + 3, i] += c.by_class[1][j] * f[1][2 + CLASSES + j]
+                out[COUNTS + 1, i] += c.by_class[0][j] * f[1][2 + j]
+                out[COUNTS + 2, i] += c.by_class[1][j] * f[1][2 + CLASSES + j]
                 out[2 + j, i] = off * f[1][2 + j]
                 out[2 + CLASSES + j, i] = on * f[1][2 + CLASSES + j]
 
@@ -228,15 +227,13 @@ cdef inline void mean_of(const past_t* events, int64_t low, int64_t high, int64_
                 u[i] = lead_of(slope[i], light, c)
             total += exp_f(<float>(y[i] + u[i] - top))
         level = top + log_f(<float>(total / samples))
-    for j in range(COUNTS + 2):
+    for j in range(COUNTS):
         out[j] = 0.0
     out[COUNTS] = level
     for i in range(samples):
         share = exp_f(<float>(y[i] + u[i] - top)) / total
         for j in range(COUNTS):
             out[j] += share * f[i][j]
-        light = y[i] + u[i] - level
-        out[COUNTS + 1] += share * light * light
 
 
 def learning_around(const past_t[::1] events not None,

@@ -40,7 +40,7 @@ NUMBERS = (
      "MOST_SEARCHED MOST_TRIED MOST_FURTHER LAG MOST_LACKING "
      "Priors.theta_sigma Priors.bandwidth Priors.bandwidth_sigma", FIT, KALMAN),
     ("pixel.learn", "BETTER_REST RESTS_S", (*SHAPE, STILL), KALMAN),
-    ("pixel.learn", "LOSS_OF_BLACK SIGMAS BLACK LEAST_BLACK STEADY",
+    ("pixel.learn", "LOSS_OF_BLACK SIGMAS BLACK LEAST_BLACK MOST_LEFT",
      (BLACK, "black-80-200-1", FAST, "flicker-200"), KALMAN),
     ("pixel.learn", "LEAST_WHOLE", LOST, KALMAN),
     ("pixel.features", "SHRINKS FOLDS WITHIN SAME_SCALE", FIT, KALMAN),

@@ -60,7 +60,7 @@ class Pairs:
     whole : ndarray of bool, shape (N,)
         Whether no events are missing between them.
     gap_us : ndarray of float64, shape (N,)
-        Mean time between events of the pixel, of all its rows.
+        Mean time between events of the pixel, of its whole rows; 0: it has none.
     """
 
     pixel: NDArray[np.int32]
@@ -138,7 +138,7 @@ def pairs_of(data: Sampled, shift_us: float) -> Pairs | None:
                              == np.searchsorted(begins, mids[b])),
                      (counts[mids[b]] - counts[mids[a]])[chosen]))
     pairs = Pairs(*(np.concatenate(each, -1) for each in zip(*rows, strict=True)))
-    events, time = (np.bincount(pairs.pixel, each) for each in (
+    events, time = (np.bincount(pairs.pixel, pairs.whole * each) for each in (
         pairs.gap_us, np.diff(pairs.exposure.mean(1), axis=0)[0]))
     return replace(pairs, gap_us=(time / np.maximum(events, 1))[pairs.pixel])
 
@@ -166,8 +166,6 @@ class Rows:
         Variance of both samples.
     parts : ndarray of float64, shape (2, N)
         Change by OFF and ON events.
-    blur : ndarray of float64, shape (N,)
-        Variance of J within the exposures, of both in sum.
     """
 
     feature: Floats
@@ -175,7 +173,6 @@ class Rows:
     jacobian: Floats
     frame_noise: Floats
     parts: Floats
-    blur: Floats
     pairs: Pairs
 
     @cached_property
@@ -231,15 +228,14 @@ def linearized(
     mean_dn, mean_ms = np.sqrt(pairs.dn[0] * pairs.dn[1]), pairs.ms.mean(0)
     return Rows(out[:12], logs[1] - logs[0] - out[12] + weights_of(model) @ out[:12],
                 (mean_dn + model.black * mean_ms) / mean_dn,
-                model.frame_variance(pairs.dn, pairs.ms).sum(0), out[14:], out[13],
-                pairs)
+                model.frame_variance(pairs.dn, pairs.ms).sum(0), out[13:], pairs)
 
 
 def _of_exposures(
     data: Sampled, pairs: Pairs, exposure: NDArray[np.int64],
     logs: Floats, model: PixelModel, gains: Floats, ahead_us: int, samples: int,
 ) -> Floats:
-    out = np.empty((len(OF_SIGN) + 4, len(pairs.pixel)))
+    out = np.empty((len(OF_SIGN) + 3, len(pairs.pixel)))
     _kernels.learning_rows(
         data.events, data.start, pairs.pixel, np.ascontiguousarray(exposure), ahead_us,
         np.ascontiguousarray(logs), samples, model.numbers, gains, out)
