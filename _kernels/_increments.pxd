@@ -160,7 +160,6 @@ cdef enum:
     AFTER = 2                   # and a pixel whose events say nothing
     HOT = 4
     FLICKERS = 8
-    LEARN_EVENTS = 3            # events between two frames from which gains are learned
     LEVEL = 0                   # planes, as show_row takes them
     SLOPE = 1
     VARIANCE = 2

@@ -5,7 +5,7 @@ from libc.stdlib cimport calloc, free, malloc
 from libc.string cimport memset
 
 from _kernels._increments cimport (
-    CLAIM, GATE, HOT_MEMORY, LEARN_EVENTS, LESS, MORE, NEVER, PRIOR_ODDS, QUIET, SHOWN,
+    CLAIM, GATE, HOT_MEMORY, LESS, MORE, NEVER, PRIOR_ODDS, QUIET, SHOWN,
     anchor_t, back_row, camera_of, camera_t, mean_at, node_t, pass_row, pixel_t,
     stored_t)
 from _kernels._increments_frames cimport (
@@ -184,8 +184,8 @@ cdef inline float pass_one(const node_t* old, const node_t* new, float log,
     k0 = a.p[0] * s
     k1 = a.p[1] * s
     k2 = a.p[2] * s
-    if hot or jump or step.passed < LEARN_EVENTS:
-        k1 = k2 = 0.0           # gains are learned from several events on
+    if hot or jump or step.passed == 0.0:
+        k1 = k2 = 0.0           # what gains are of: no event
     p0 = a.p[0]
     a.log += k0 * e
     a.gain[0] += k1 * e

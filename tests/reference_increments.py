@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-SAMPLES, SHORT_US, GATE, LEARN_EVENTS = 7, 1500, 16.0, 3
+SAMPLES, SHORT_US, GATE = 7, 1500, 16.0
 RESTS, EARLIEST_TURN = 2.5, 3 - 2 * math.sqrt(2)
 SMOOTH_FROM_S, KNOT = 0.045, 1.1
 CLAIM, SHOWN, HOT, MORE, LESS, HOT_MEMORY = 0.5, 0.25, 6.91, 4.5, 2.29, 8.0
@@ -228,7 +228,7 @@ class Level:
         if jump:
             self.P[0, 0] += e * e
         K = self.P[:, 0] / (self.P[0, 0] + r)
-        if hot or jump or passed < LEARN_EVENTS:
+        if hot or jump or passed == 0:
             K[1:] = 0
         A = np.eye(3) - np.outer(K, [1, 0, 0])
         self.x, self.P = self.x + K * e, A @ self.P @ A.T + r * np.outer(K, K)
