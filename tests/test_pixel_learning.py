@@ -388,6 +388,12 @@ def test_a_learned_camera_is_written_as_numbers(tmp_path):
     found = json.loads((tmp_path / "a.json").read_text())["model"]
     assert found["theta"] == [0.25, 0.2]
     assert found["black"] == 1.5
+    assert PixelModel.of_lists(found) == model
+    assert found.pop("turn") == model.turn
+    assert PixelModel.of_lists(found) == model      # as older files have it
+    del found["black"]
+    with pytest.raises(KeyError):
+        PixelModel.of_lists(found)
 
 
 def test_a_busy_sensor_is_sampled_by_fewer_pixels_for_longer():

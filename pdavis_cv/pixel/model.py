@@ -201,8 +201,10 @@ class PixelModel:
 
         Raises
         ------
+        KeyError
+            If a field is missing, but ``turn``, which older files have not.
         ValueError
-            If a field is missing, not finite, or of another shape.
+            If a field is not finite or of another shape.
         """
         like = cls(theta=np.ones(2))
         found: dict[str, Any] = {}
