@@ -300,14 +300,20 @@ def test_a_black_level_found_before_stays_without_evidence_against_it():
     assert learn(sample, TOLD, 0, before).model.black < 0.1
 
 
-def test_a_clock_offset_found_before_stays_without_evidence_against_it():
-    sample = sampled(Camera.preset("typical", seed=1303, size=SIZE), 60, 0.3, 0.5)
-    alone = learn(sample, TOLD, 0)
-    before = replace(alone, clock_offset_us=-3000.0)
-    assert alone.clock_offset_us == 0
-    assert -3000 < learn(sample, TOLD, 0, before).clock_offset_us < -1000
-    # None is there: it goes again.
+@pytest.mark.parametrize("seed", [1303, 1309])
+def test_an_unsure_clock_offset_is_the_mean_with_none(seed, monkeypatch):
+    sample = sampled(Camera.preset("typical", seed=seed, size=SIZE), 60, 0.3, 0.5)
+    found = learn(sample, TOLD, 0)
+    assert -3000 < found.clock_offset_us < 0
+    assert found.clock_offset_us + 2 * found.sigmas["shift"] > -3000
+    assert found.clock_offset_us - 2 * found.sigmas["shift"] < -3000
+    monkeypatch.setattr("pdavis_cv.pixel.learn.SURE", 0.5)
+    likelier = learn(sample, TOLD, 0)
+    assert likelier.clock_offset_us == 0 or (
+        likelier.clock_offset_us < found.clock_offset_us)
+    # None is there, and that is sure.
     sample = sampled(Camera.preset("nominal", seed=1304, size=SIZE), 200, 1.0)
+    before = replace(found, clock_offset_us=-3000.0)
     assert learn(sample, TOLD, 0, before).clock_offset_us == 0
 
 

@@ -54,6 +54,9 @@ errors.  A black level must lower the loss of pairs by three, and be worth four 
 own (where none was, 2 to 3 DN/ms were 3.1 to 3.6 of them); by so many sigmas of the
 prior photoreceptors may be slower or faster (lab.studies.constants)."""
 
+SURE = 0.95
+"""Probability of a clock offset from which on, or of none, no mean is taken."""
+
 MOST_LEFT = 0.5
 """Part of the loss that a black level leaves, so that it needs no pixels that pass less
 than a threshold in an exposure: .04 to .37 before a polarizer of DoLP 1 with 30 DN, .82
@@ -216,7 +219,7 @@ def learn(
     lookahead_us : int
         How much is known beyond the time of an image.
     before : LearnedPixels, optional
-        What less of it told: a black level and a clock offset need evidence to go.
+        What less of it told: a black level needs evidence to go.
 
     Returns
     -------
@@ -265,8 +268,9 @@ def _fitted(
 ) -> _Fit:
     """Return the likeliest state of the fit, of several starts and models.
 
-    Each number moves from what was told only if the posterior is clearly better, and
-    back from what was found before only if that is clearly worse.
+    A number moves from what was told only if the posterior is clearly better, and a
+    black level back from what was found before only if that is clearly worse.  The
+    offset of the clock is the mean over having one and having none.
     """
     told = fit.shift_us
     black, clock_us = (0.0, told) if before is None else (
@@ -315,10 +319,18 @@ def _fitted(
         3 * priors.bandwidth_sigma[0])
     others = [one for one in (tried(start, clock) for start in starts)
               if not least <= one.shift_us <= most]
-    other = min(others, key=lambda one: one.cost, default=best)
-    again = clock_us != told and abs(other.shift_us - clock_us) < 3000
-    if other.cost < best.cost - (-1 if again else 1) * EVIDENCE:
-        best = other
+    between = 0.0
+    if others:
+        # As likely beforehand as none: the mean over both by Laplace's evidence.
+        other = min(others, key=lambda one: one.cost)
+        narrow = 2 * math.log(priors.clock_us[1] / other.sigmas["shift"])
+        share = 0.5 + 0.5 * math.tanh((best.cost - other.cost - narrow) / 4)
+        off = other.shift_us - told
+        between = math.sqrt(share * (1 - share)) * abs(off)
+        if share > SURE:
+            best = other
+        elif share > 1 - SURE:
+            best, clock = tried(_changed(other, shift_us=told + share * off), lag), lag
     used = clock if best.shift_us else lag
     other = tried(best, [*used, *law])
     if other.cost < best.cost - EVIDENCE and _usual(priors, other.model, light):
@@ -350,8 +362,8 @@ def _fitted(
     sigmas = dict(_descended(data, pairs, priors, best, numbers, 1).sigmas)
     if "shift" in sigmas:
         # How the sum is split is the prior's.
-        sigmas["shift"] = math.hypot(sigmas["shift"], priors.bandwidth_sigma[0] * (
-            _lag_us(best.model.bandwidth, light)))
+        sigmas["shift"] = math.hypot(sigmas["shift"], between, (
+            priors.bandwidth_sigma[0] * _lag_us(best.model.bandwidth, light)))
     # The lag belongs to the interpolation: the thresholds are fitted again without it.
     best = _descended(data, every, priors, _changed(best, lag=0.0), {}, 3)
     best = _changed(best, sigmas={**sigmas, **best.sigmas})
