@@ -36,7 +36,7 @@ LOST, DEAD = ("missing-half-60", STILL), ("refractory-1-200", FAST)
 PLAIN = {"unpolarized": Case(light=lambda seed: Texture(
     velocity=(120.0, 35.0), seed=seed, dolp=0.0, dolp_spread=0.0))}
 NUMBERS = (
-    ("pixel.learn", "ROUNDS COMMON_ERROR COMMON_PAIRS EVIDENCE MODEL_ERROR SPREAD "
+    ("pixel.learn", "STEP ROUNDS COMMON_ERROR COMMON_PAIRS EVIDENCE MODEL_ERROR SPREAD "
      "MOST_SEARCHED MOST_TRIED MOST_FURTHER LAG MOST_LACKING "
      "Priors.theta_sigma Priors.bandwidth Priors.bandwidth_sigma", FIT, KALMAN),
     ("pixel.learn", "BETTER_REST RESTS_S", (*SHAPE, STILL), KALMAN),
@@ -45,7 +45,7 @@ NUMBERS = (
     ("pixel.learn", "LEAST_WHOLE", LOST, KALMAN),
     ("pixel.features", "SHRINKS FOLDS WITHIN SAME_SCALE", FIT, KALMAN),
     ("pixel.frame_noise", "FAR LEAST MOST DIM_DN", (*DIM, TURNS), KALMAN),
-    ("pixel.model", "SHORT_US _LEAST_VARIANCE AROUND_S", FIT, KALMAN),
+    ("pixel.model", "SHORT_US _LEAST_VARIANCE AROUND_S PixelModel.noise", FIT, KALMAN),
     ("pixel.model", "PAST_S", (TURNS, TEXTURE), LIVE),
     ("pixel.model", "PixelModel.read_variance PixelModel.shot", (*DIM, TURNS), KALMAN),
     ("pixel.rows", "LEAST_PASSED MOST_PASSED EDGE_US MOST_ROWS MOST_PER_PAIR",

@@ -31,8 +31,9 @@ CLOCK_STEP_US = 1000.0
 """Half of the difference of times over which the derivative by the clock is taken, us:
 counts step where a rest ends, and their derivative over less is that of the steps."""
 
-ROUNDS = 5
-"""Gauss-Newton steps, unless nothing moves by .1 sigma (lab.studies.constants)."""
+STEP, ROUNDS = 0.1, 5
+"""Half of the difference over which other derivatives are taken, sigmas of the prior;
+and Gauss-Newton steps, of at most one of these (lab.studies.constants)."""
 
 COMMON_ERROR, COMMON_PAIRS = 30.0, 3.0
 """Prior of the design effect, and its weight in pairs (lab.studies.constants)."""
@@ -48,14 +49,12 @@ LAG = 0.01, 0.037
 """Lag of interpolated counts, in mean gaps between events of a pixel, and its spread:
 of 48 simulated cameras (waves, texture, edges) whose clock and bandwidth were told."""
 
-EVIDENCE, LOSS_OF_BLACK, SIGMAS = 4.0, 3.0, 4.0
+EVIDENCE, LOSS_OF_BLACK, SIGMAS, SURE = 4.0, 3.0, 4.0, 0.95
 """Fall of -2 ln posterior for which a number is taken that was not told: two standard
 errors.  A black level must lower the loss of pairs by three, and be worth four of its
 own (where none was, 2 to 3 DN/ms were 3.1 to 3.6 of them); by so many sigmas of the
-prior photoreceptors may be slower or faster (lab.studies.constants)."""
-
-SURE = 0.95
-"""Probability of a clock offset from which on, or of none, no mean is taken."""
+prior photoreceptors may be slower or faster (lab.studies.constants).  A clock offset,
+or none, of this probability is no longer averaged with the other."""
 
 MOST_LEFT = 0.5
 """Part of the loss that a black level leaves, so that it needs no pixels that pass less
@@ -180,7 +179,6 @@ class _Number:
     mean: float
     sigma: float
     step: float
-    largest: float
     get: Callable[[_Fit], float]
     put: Callable[[_Fit, float], _Fit]
 
@@ -413,16 +411,16 @@ def _numbers(priors: Priors, pairs: Pairs) -> dict[str, _Number]:
     every: dict[str, _Number] = {}
     if priors.clock_us[1] > 0:
         every["shift"] = _Number(
-            *priors.clock_us, CLOCK_STEP_US, 1500.0, lambda f: f.shift_us,
+            *priors.clock_us, CLOCK_STEP_US, lambda f: f.shift_us,
             lambda f, x: _changed(f, shift_us=x))
     every["lag"] = _Number(
-        *LAG, CLOCK_STEP_US / max(float(np.mean(pairs.gap_us)), 1.0), 0.1,
+        *LAG, CLOCK_STEP_US / max(float(np.mean(pairs.gap_us)), 1.0),
         lambda f: f.lag, lambda f, x: _changed(f, lag=x))
     ms = float(np.median(pairs.ms))
     mean, sigma = (dn / ms for dn in priors.black or (0.0, BLACK[1]))
     if sigma > 0 and pairs.whole.all():
         every["black"] = _Number(
-            mean, sigma, 4.0 / ms, 30.0 / ms, lambda f: f.model.black,
+            mean, sigma, STEP * sigma, lambda f: f.model.black,
             lambda f, x: _with(f, black=max(x, 0.0)))
     for i, name in enumerate(("f0", "slope")):
         if priors.bandwidth[i] > 0 and priors.bandwidth_sigma[i] > 0:
@@ -433,7 +431,8 @@ def _numbers(priors: Priors, pairs: Pairs) -> dict[str, _Number]:
 def _of_bandwidth(priors: Priors, i: int) -> _Number:
     """Return the logarithm of one of the two numbers of the bandwidth."""
     return _Number(
-        math.log(priors.bandwidth[i]), priors.bandwidth_sigma[i], 0.2, 0.7,
+        math.log(priors.bandwidth[i]), priors.bandwidth_sigma[i],
+        STEP * priors.bandwidth_sigma[i],
         lambda f: math.log(f.model.bandwidth[i]),
         lambda f, x: _with(f, bandwidth=(
             *f.model.bandwidth[:i], math.exp(x), *f.model.bandwidth[i + 1:])))
@@ -574,8 +573,7 @@ def _step(
         priors.theta_sigma * theta, [one.sigma for one in free.values()]]) ** 2
     step = np.linalg.solve(left @ a.T / effect + np.diag(inverse),
                            left @ residual / effect + inverse * to_prior)
-    limit = np.concatenate([0.3 * theta, [one.largest for one in free.values()]])
-    step *= min(1.0, float(np.min(limit / np.maximum(np.abs(step), 1e-12))))
+    step /= max(1.0, float(np.max(np.abs(step) * np.sqrt(inverse))))
     cov = np.linalg.inv((a * k) @ a.T / effect + np.diag(inverse))
     sigma = np.sqrt(np.diag(cov))
     for one, value, change in zip(free.values(), values, step[2:], strict=True):

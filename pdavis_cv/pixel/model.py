@@ -22,7 +22,8 @@ real recording are told best by eleven of -40 to 32 ms, but each one costs time.
 _LAGS = len(PAST_S)
 
 SHORT_US, SAMPLES = 1500, 7
-"""Exposure whose middle is looked at, us, or how many times (lab.studies.constants)."""
+"""Exposure whose middle is looked at, us (lab.studies.constants), or how many times:
+the mean of a wave of 33 Hz, 1000 RPM, over 20 ms errs by 1.5 % of its amplitude."""
 
 _LEAST_VARIANCE = 1e-4
 """ln^2: a sample errs by one per cent at least (lab.studies.constants)."""

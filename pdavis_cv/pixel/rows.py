@@ -116,7 +116,7 @@ def pairs_of(data: Sampled, shift_us: float) -> Pairs | None:
                 ok &= counts[mids[b]] - counts[mids[a]] < 3 * MOST_PASSED
                 ok &= counts[mids[a + span // 3]] - counts[mids[a]] < MOST_PASSED
             chosen = np.flatnonzero(ok)
-            if len(chosen) >= 4:
+            if chosen.size:
                 found.append((a, b, span == 1, chosen))
     if not found:
         return None

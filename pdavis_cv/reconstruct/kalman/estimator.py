@@ -48,7 +48,7 @@ from pdavis_cv.recording.base import ApsFrame
 LOOKAHEADS = {"buffered": 50_000, "causal": 0, "offline": 500_000}
 """How long after its time an image is made, us: events and frames up to then count."""
 
-_REACH_US = 5_000 - round(1e6 * min(PAST_S))    # how far back events count, us
+_REACH_US = -round(1e6 * min(PAST_S))    # how far back events count, us
 _AHEAD_US = round(1e6 * max(AROUND_S))
 _LATE_US = 500_000      # how late a frame may come, us
 _PLANES, _PIXEL_NS = 5, 100.0   # of an image in the making; ns by listed pixel
