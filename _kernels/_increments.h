@@ -26,7 +26,7 @@
 #define LEAD_STEPS 8            /* at most, of Newton's method; some four are needed */
 #define LEAD_ERROR 1e-4         /* ln: the step with which they end */
 #define RESTS 2.5               /* rest times after which light is still */
-#define AT_REST (1.0 / (1.0 + RESTS * RESTS * RESTS * RESTS))
+#define AT_REST (1.0 / (1.0 + RESTS * RESTS))
 #define PER_TURN_2 0.15915494309189535  /* 1 / (2 pi) */
 
 /* Constants of the filter: times, gates, hot pixels (docs/theory/kalman.md). */
@@ -87,7 +87,6 @@ typedef struct {
 PDAVIS_INLINE double moves(double gap, const camera_t *c)
 {
     double x = gap / c->rest;
-    x *= x;
     return 1.0 / (1.0 + x * x);
 }
 

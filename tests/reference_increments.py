@@ -13,11 +13,11 @@ CLAIM, SHOWN, HOT, MORE, LESS, HOT_MEMORY = 0.5, 0.25, 6.91, 4.5, 2.29, 8.0
 
 
 def moves(gap, m):
-    return 1 / (1 + (gap / m.rest_s) ** 4)      # (3)
+    return 1 / (1 + (gap / m.rest_s) ** 2)      # (3)
 
 
 def goes_on(gap, m):
-    rest = 1 / (1 + RESTS ** 4)
+    rest = 1 / (1 + RESTS ** 2)
     return max(moves(gap, m) - rest, 0) / (1 - rest)
 
 
