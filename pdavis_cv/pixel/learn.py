@@ -316,7 +316,7 @@ def _fitted(
     least, most = told - MOST_LACKING * usual, told + usual * math.expm1(
         3 * priors.bandwidth_sigma[0])
     others = [one for one in (tried(start, clock) for start in starts)
-              if not least <= one.shift_us <= most]
+              if "shift" in one.sigmas and not least <= one.shift_us <= most]
     between = 0.0
     if others:
         # As likely beforehand as none: the mean over both by Laplace's evidence.
