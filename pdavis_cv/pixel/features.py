@@ -55,7 +55,7 @@ def further_weights(
     theta = float(model.theta.mean())
     scale = (x[:, :2] / rows.variance(model)[:, None]).T @ x
     penalty += SAME_SCALE * scale.T @ np.linalg.solve(
-        scale[:, :2] + 1e-9 * np.trace(scale[:, :2]) * np.eye(2), scale)
+        scale[:, :2] + max(1e-9 * np.trace(scale[:, :2]), 1e-12) * np.eye(2), scale)
     fold = pairs.pair * FOLDS // number
     residual = rows.change - x @ first
     k, _ = robust(residual, rows.variance(model))

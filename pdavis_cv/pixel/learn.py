@@ -496,7 +496,7 @@ def _design_effect(rows: Rows, model: PixelModel) -> float:
     number, information = int(pair.max()) + 1, (f * k) @ f.T
     total = np.stack([
         np.bincount(pair, k * residual * each, number) for each in f], 1)
-    ridge = 1e-9 * np.trace(information) * np.eye(len(information))
+    ridge = max(1e-9 * np.trace(information), 1e-12) * np.eye(len(information))
     ratio = np.trace(np.linalg.solve(information + ridge, total.T @ total)) / len(
         information)
     return float(max((COMMON_ERROR * COMMON_PAIRS + ratio * number) / (
