@@ -82,12 +82,6 @@ cdef void fill_analyser(const analyser_t* of, group_t* group) noexcept nogil:
     group.filled = True
 
 
-cdef void empty(group_t* group) noexcept nogil:
-    """Take the runs out of a group."""
-    group.count = 0
-    group.n = 0
-
-
 cdef void weigh_group(const showing_t* of, group_t* group) noexcept nogil:
     """Weigh the degrees of a group and write its light back."""
     cdef cells_t* cells = &group.cells
@@ -103,7 +97,7 @@ cdef void weigh_group(const showing_t* of, group_t* group) noexcept nogil:
         from_places(&cells.light[0][run.at], &cells.light[1][run.at],
                     &cells.light[2][run.at], &cells.light[3][run.at], run.n, upper,
                     upper + of.w)
-    empty(group)
+    group.count = group.n = 0
 
 
 cdef void add_to_weigh(const showing_t* of, group_t* group, Py_ssize_t number,
@@ -151,7 +145,7 @@ cdef void weigh_rows(const showing_t* of, Py_ssize_t first,
     cdef group_t group
     cdef uint8_t[CELLS] marks
     cdef Py_ssize_t y, part, x, n, begin, end, some, number, corner
-    empty(&group)
+    group.count = group.n = 0
     group.filled = False
     for y in range(first, last):
         for part in range((of.columns + CELLS - 1) // CELLS):

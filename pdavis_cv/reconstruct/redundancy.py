@@ -18,7 +18,7 @@ from pdavis_cv._checks import (
     sensor_shape,
     whole_number,
 )
-from pdavis_cv._types import Events, Parameters, Records, State
+from pdavis_cv._types import Events, Parameters, State
 from pdavis_cv.events import FAR, checked_time, timed_events
 from pdavis_cv.pixel.model import PixelModel
 from pdavis_cv.pixel.silences import table_of
@@ -220,7 +220,7 @@ class EventRedundancy(Reconstructor):
             self._take_thresholds(learned.get("theta_on", self._theta_on),
                                   learned.get("theta_off", self._theta_off))
         self._tune()
-        self._changed()
+        self._fed += 1      # what is cached from the state is no longer right
 
     def _take_thresholds(self, on: ArrayLike, off: ArrayLike) -> None:
         self._theta_on = checked_threshold("theta_on", on, self.shape)
@@ -371,9 +371,7 @@ class EventRedundancy(Reconstructor):
         self._theta_on, self._theta_off = other._theta_on, other._theta_off
         self._policy["ratio_sigma"] = other._policy["ratio_sigma"]
         self._tune()
-        self._store.restore(other._store.state())
-        self._take(other._clock.last_us, other._states, other._balance, other._moments,
-                   other._next, other._unsolved, other._lamp.state())
+        self._restore(other._state())
 
     def _state(self) -> State:
         arrays = (as_bytes(one).copy()
@@ -384,24 +382,12 @@ class EventRedundancy(Reconstructor):
 
     def _restore(self, state: State) -> None:
         self._store.restore(state["store"])
-        self._take(*state["rest"])
-
-    def _take(
-        self, last_us: int, states: Records, balance: NDArray[Any],
-        moments: NDArray[Any], following: int | None, unsolved: bool,
-        lamp: Records,
-    ) -> None:
-        self._clock.last_us = last_us
-        np.copyto(as_bytes(self._states), as_bytes(states))
-        np.copyto(as_bytes(self._balance), as_bytes(balance))
-        np.copyto(as_bytes(self._moments), as_bytes(moments))
+        (self._clock.last_us, *arrays, self._next, self._unsolved, lamp) = state["rest"]
+        for one, other in zip(
+                (self._states, self._balance, self._moments), arrays, strict=True):
+            as_bytes(one)[:] = other
         self._solved = None
-        self._next, self._unsolved = following, unsolved
         self._lamp.restore(lamp)
-        self._changed()
-
-    def _changed(self) -> None:
-        """Invalidate everything cached from the state."""
         self._fed += 1
 
 

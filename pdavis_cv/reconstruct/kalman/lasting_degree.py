@@ -141,10 +141,6 @@ class LastingDegree:
                 self._lasting, self._analyser, (light, variance, valid), (first, last)),
             row_ns=_CELL_NS * self._lasting.shape[2])
 
-    def assign(self, other: LastingDegree) -> None:
-        """Take over the state of an equal object."""
-        self._planes, self._lasting = other._planes, other._lasting
-
     def state(self) -> State:
         """Return the state, which nothing changes later."""
         return {"planes": self._planes, "lasting": self._lasting}

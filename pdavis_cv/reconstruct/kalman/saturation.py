@@ -245,20 +245,6 @@ class Saturated:
             self._filled = unknown, (cells, np.flatnonzero(missing))
         return self._filled[1]
 
-    def assign(self, other: Saturated) -> None:
-        """Copy the state of an equal object."""
-        self._model, self._bound = other._model, other._bound
-        self._half = other._half
-        self._thresholds, self._early = other._thresholds, other._early
-        self._ratio_sigma, self._dim = other._ratio_sigma, other._dim
-        if other._method is None or other._level is None:
-            self._level, self._method = other._level, None
-            return
-        if self._method is None or not np.array_equal(self._pixels, other._pixels):
-            self._make(other._pixels, other._level, other._dim)
-        assert self._method is not None
-        self._method.assign(other._method)
-
     def state(self) -> State:
         """Return copies of everything."""
         return {"bound": self._bound, "half": self._half, "pixels": self._pixels,
