@@ -22,6 +22,7 @@ cdef struct frame_t:
     double* around              # by `increments_node`; NULL: nothing is weighed
     Py_ssize_t size             # pixels
     int samples
+    double lost                 # s that count besides since the frame before
 
 
 cdef inline int frame_of(tuple arrays, Py_ssize_t h, Py_ssize_t w,
@@ -30,7 +31,7 @@ cdef inline int frame_of(tuple arrays, Py_ssize_t h, Py_ssize_t w,
     cdef const float[:, :, ::1] sample, gains
     cdef const int64_t[:, ::1] times
     cdef double[:, :, ::1] around
-    nodes, sample, gains, times, f.samples, around = arrays
+    nodes, sample, gains, times, f.samples, around, f.lost = arrays
     if (nodes.shape[0] != h or nodes.shape[1] != w or sample.shape[0] != 3
             or sample.shape[1] != h or sample.shape[2] != w or gains.shape[0] != h
             or gains.shape[1] != w or gains.shape[2] != 2 or times.shape[0] != 3

@@ -107,7 +107,7 @@ def increments_pass(tuple old not None, tuple new not None,
     noise, row = seconds + w, <float*>(seconds + 2 * w)
     with nogil:
         for x in range(w):
-            seconds[x] = 1e-6 * <double>(b.middle[x] - a.middle[x])
+            seconds[x] = 1e-6 * <double>(b.middle[x] - a.middle[x]) + b.lost
             noise[x] = c.alpha * fabs(seconds[x])
         for y in range(first, last):
             for x in range(w):
@@ -231,8 +231,8 @@ def increments_back(list frames not None, const int64_t[:, ::1] due not None,
         with nogil:
             for i in range(1, n):
                 for x in range(w):
-                    noise[i * w + x] = c.alpha * fabs(
-                        1e-6 * <double>(all_[i].middle[x] - all_[i - 1].middle[x]))
+                    noise[i * w + x] = c.alpha * fabs(all_[i].lost + 1e-6 * <double>(
+                        all_[i].middle[x] - all_[i - 1].middle[x]))
             for y in range(first, last):
                 at = y * w
                 for x in range(w):
@@ -270,7 +270,7 @@ cdef inline void back_one(const frame_t* frames, Py_ssize_t n, Py_ssize_t at,
         if i > 0:
             old = f - 1
             step = between(old.nodes + at, f.nodes + at, f.said[at],
-                           1e-6 * <double>(f.middle[x] - old.middle[x]), c)
+                           f.lost + 1e-6 * <double>(f.middle[x] - old.middle[x]), c)
         if f.variance[at] > 0.0:
             e = f.log[at] - b
             r = f.variance[at]

@@ -96,7 +96,7 @@ cdef struct frames_t:
     frame_t ended               # later, with nodes as of silences by now (`later_of`)
     const anchor_t* anchors
     const float* back           # NULL: no frame after
-    const double* middle        # of both by column
+    const double* middle        # of both by column, then as noise grows
     const lamp_t* lamp
     Py_ssize_t w, size
     int64_t epoch, ahead
@@ -116,7 +116,7 @@ cdef inline int frames_of(tuple frames, Py_ssize_t h, Py_ssize_t w,
     f.w, f.size = w, h * w
     frame_of(before, h, w, &f.before)
     f.back = NULL
-    if (anchors.shape[0] != h or anchors.shape[1] != w or middles.shape[0] != 2
+    if (anchors.shape[0] != h or anchors.shape[1] != w or middles.shape[0] != 4
             or middles.shape[1] != w or ended.shape[0] != h or ended.shape[1] != w):
         raise ValueError("all images must have one shape")
     if later is not None:
@@ -246,8 +246,8 @@ cdef inline void estimate(const shown_t* s, int64_t t, int64_t known, bint open_
     if s.state & AFTER:
         ends.p_behind += max(next_ - now, 0.0)
     at_rest(<double>t, ends.ahead, ends.p_ahead, ends.behind, ends.p_behind,
-            ends.common, ends.extra, f.middle[x], f.middle[f.w + x], c.alpha, &u,
-            variance)
+            ends.common, ends.extra, f.middle[2 * f.w + x], f.middle[3 * f.w + x],
+            c.alpha, &u, variance)
     if not s.state & (BEFORE | AFTER):
         log[0] = 0.0
         return
@@ -280,7 +280,7 @@ def increments_rest_planes(tuple frames not None, const double[::1] camera not N
                 if f.back != NULL:
                     planes[SLOPE, y, x] = f.back[at] - f.later.said[at]
                     planes[GROWS, y, x] = f.back[f.size + at]
-            rest_row(f.middle, f.middle + w, <double>f.epoch, c.alpha, w,
+            rest_row(f.middle + 2 * w, f.middle + 3 * w, <double>f.epoch, c.alpha, w,
                      &planes[LEVEL, y, 0], &planes[SLOPE, y, 0],
                      &planes[VARIANCE, y, 0], &planes[GROWS, y, 0],
                      &planes[BENDS, y, 0])
@@ -432,10 +432,10 @@ cdef inline int64_t move_one(const pixel_t* p, const stored_t* store, Py_ssize_t
         ends = ends_of(s, f, x, still, still, 0.0, c)
         rest_planes(
             ends.ahead, ends.p_ahead, ends.behind, ends.p_behind, ends.common,
-            ends.extra, f.middle[x], f.middle[f.w + x], <double>f.epoch, c.alpha,
-            plane + LEVEL * size + at, plane + SLOPE * size + at,
-            plane + VARIANCE * size + at, plane + GROWS * size + at,
-            plane + BENDS * size + at)
+            ends.extra, f.middle[2 * f.w + x], f.middle[3 * f.w + x],
+            <double>f.epoch, c.alpha, plane + LEVEL * size + at,
+            plane + SLOPE * size + at, plane + VARIANCE * size + at,
+            plane + GROWS * size + at, plane + BENDS * size + at)
     else:
         if smooth:
             t0 = s.last + <int64_t>(1e6 * knot)
@@ -515,8 +515,6 @@ def increments_image(const float[:, :, ::1] planes not None,
             else:
                 memset(&log[y, 0], 0, log.shape[1] * sizeof(float))
             show_row(&planes[LEVEL, y, 0], &planes[SLOPE, y, 0],
-                     &planes[VARIANCE, y, 0],
-                     &planes[GROWS, y, 0], &planes[BENDS, y, 0],
-                     <float>seconds,
-                     <float>lit, <float>most, log.shape[1], &log[y, 0], &variance[y, 0],
-                     &valid[y, 0])
+                     &planes[VARIANCE, y, 0], &planes[GROWS, y, 0],
+                     &planes[BENDS, y, 0], <float>seconds, <float>lit, <float>most,
+                     log.shape[1], &log[y, 0], &variance[y, 0], &valid[y, 0])

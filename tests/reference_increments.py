@@ -2,6 +2,7 @@
 all events at hand.  Symbols and numbers of equations are those of
 docs/theory/kalman.md."""
 import bisect
+import itertools
 import math
 
 import numpy as np
@@ -253,13 +254,35 @@ class Filter:
     def __init__(self, events, frames, m, shape, *, gain=None, mode="buffered"):
         self.m, self.shape, self.mode = m, shape, mode
         self.ahead = {"causal": 0, "buffered": 50_000, "offline": 500_000}[mode]
-        self.frames = frames
+        self.frames, self.t = frames, [int(t) for t in events["t"]]
         self.gain = np.zeros((*shape, 2)) if gain is None else gain
         first = int(events["t"][0]) if len(events) else 0
         self.pixels = np.empty(shape, object)
         for at in np.ndindex(shape):
             e = events[(events["y"] == at[0]) & (events["x"] == at[1])]
             self.pixels[at] = Pixel(e["t"], np.where(e["p"], 1, -1), first, m)
+
+    def hole(self, first, last, known):
+        """Where events are missing: no pixel has one for longer than by chance."""
+        i, j = bisect.bisect_left(self.t, first), bisect.bisect_right(self.t, known)
+        t = [*self.t[max(i - 1, 0):j], known]
+        found = [(a, b) for a, b in itertools.pairwise(t) if (
+            (b - a) * len(t) > 30 * (known - t[0]) and b - a > 0.2 * (last - first))]
+        return (max(found[0][0], first), min(found[-1][1], last)) if found else (0, 0)
+
+    def even(self, t, before, after, middles):
+        """Noise per s (8) at t, and where middles would be if it grew so all along."""
+        alpha, more, (begin, end) = self.m.noise[0], 0.0, (0, 0)
+        if before is not None and self.m.missing:
+            more, first = self.m.missing / alpha, self.latest(before)
+            begin, end = self.hole(first, *(
+                (t, t + self.ahead) if after is None else
+                (self.latest(after), int(np.max(after.exposure_end_us)))))
+        slope = 1 + more * (begin <= t < end)
+
+        def integral(x):
+            return x + more * (min(max(x, begin), end) - begin)
+        return alpha * slope, [t + (integral(x) - integral(t)) / slope for x in middles]
 
     @staticmethod
     def latest(frame):
@@ -342,7 +365,7 @@ class Filter:
                 old, before = self.nodes(g, known)
                 self.differ(new, planes, before, levels)
             for at in np.ndindex(self.shape):
-                seconds = 1e-6 * (self.mid(f, at) - self.mid(g, at))
+                seconds = self.seconds(g, f, at)
                 levels[at].update(
                     old[at], new[at], seconds, *self.sample(f, at), self.m)
         self.add(lambda g: True, levels)
@@ -409,6 +432,15 @@ class Filter:
             if id(frame) not in self.about and which(frame):
                 self.about[id(frame)] = gains
 
+    def seconds(self, old, new, at):
+        """Time between two frames, and what it counts more."""
+        lost = 0.0
+        if new is not old and self.m.missing:
+            begin, end = self.hole(
+                self.latest(old), self.latest(new), int(np.max(new.exposure_end_us)))
+            lost = self.m.missing / self.m.noise[0] * (end - begin)
+        return 1e-6 * (self.mid(new, at) - self.mid(old, at) + lost)
+
     def mid(self, frame, at):
         return int(np.broadcast_to(frame.column_mid_us, self.shape[1])[at[1]])
 
@@ -419,8 +451,7 @@ class Filter:
             if v > 0:
                 change, d, _, noise = between(
                     looked[i][at], looked[i + 1][at],
-                    1e-6 * (self.mid(later[i + 1], at) - self.mid(later[i], at)),
-                    self.m)
+                    self.seconds(later[i], later[i + 1], at), self.m)
                 if level.hot > HOT:
                     v += level.motion
                 else:
@@ -460,7 +491,9 @@ class Filter:
 
     def exact(self, t, known, event_t, p, level, node, anchor, b, v, later, after, at):
         m, hot = self.m, level.hot > HOT
-        alpha, beta, gamma = m.noise
+        _, beta, gamma = m.noise
+        alpha, middles = self.even(event_t, anchor, later, [
+            self.mid(frame, at) for frame in (anchor, later) if frame is not None])
         k = p.last(event_t)
         theta = (1 + level.x[1:]) * m.theta * (not hot)
         J = slope = extra = 0.0
@@ -516,7 +549,7 @@ class Filter:
                 J1 += light.sum() - node["h"] + e1 @ level.x[1:] + (
                     1 + level.x[1:]) @ more_1
                 V1 += 2 * d1 @ level.P[0, 1:] + d1 @ S @ d1 + gamma * n1
-            V1 += each * n1 + open_1 + alpha * 1e-6 * abs(t - self.mid(anchor, at))
+            V1 += each * n1 + open_1 + alpha * 1e-6 * abs(t - middles[0])
             extra += beta / 4 * min(n1, 1)
         if has2:
             J2 = b - after["around"]
@@ -529,7 +562,7 @@ class Filter:
                 V2 += d2 @ S @ d2 + gamma * n2
                 V2 += beta / 4 * min(n1 + n2, 1) * self.alone
                 common = -d2 @ (level.P[0, 1:] + S @ d1)
-            V2 += each * n2 + open_2 + alpha * 1e-6 * abs(t - self.mid(later, at))
+            V2 += each * n2 + open_2 + alpha * 1e-6 * abs(t - middles[-1])
         if has1 and has2:
             all_ = V1 + V2 - 2 * common
             u = min(max((V1 - common) / all_, 0), 1)

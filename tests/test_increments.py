@@ -95,6 +95,25 @@ def test_it_equals_its_plain_version(mode, name, exposure):
     assert known.all()
 
 
+@pytest.mark.parametrize("mode", MODES)
+def test_more_time_counts_where_events_are_missing_as_in_its_plain_version(mode):
+    events, frames = stream(n=4000)
+    t = events["t"]
+    events = events[(t < 150_000) | (t > 400_000) & ((t < 465_000) | (t > 495_000))]
+    model = WHOLE.replace(missing=0.7)
+    twin = reference_increments.Filter(events, frames, model, SHAPE, mode=mode)
+    changed = False
+    for t in (300_017, 475_000, 700_000):
+        one, other = (make(model=m, mode=mode) for m in (model, WHOLE))
+        seen = t + one.lookahead_us
+        got, old = (read(fed(each, events, frames, seen), t) for each in (one, other))
+        log, variance = twin.read(t)
+        np.testing.assert_allclose(got.log_intensity, log, atol=4e-4, err_msg=str(t))
+        np.testing.assert_allclose(got.variance, variance, rtol=2e-3, err_msg=str(t))
+        changed |= bool(np.any(np.abs(got.log_intensity - old.log_intensity) > 0.01))
+    assert changed
+
+
 def test_light_that_turns_in_a_parabola_is_exact_in_spite_of_dead_time():
     """(4) and (2b): J = 150 t - 2e4 t^2, thresholds of .2, 1 ms of reset."""
     rise, bend, dead, theta = 150.0, -2e4, 1e-3, 0.2

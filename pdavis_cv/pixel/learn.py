@@ -183,12 +183,8 @@ class _Number:
     put: Callable[[_Fit, float], _Fit]
 
 
-def _changed(fit: _Fit, **changes: object) -> _Fit:
-    return replace(fit, **changes)  # type: ignore[arg-type]
-
-
 def _with(fit: _Fit, **changes: object) -> _Fit:
-    return _changed(fit, model=fit.model.replace(**changes))
+    return replace(fit, model=fit.model.replace(**changes))
 
 
 def prior_model(priors: Priors, lookahead_us: int, ms: float = math.inf) -> PixelModel:
@@ -234,9 +230,9 @@ def learn(
         replace(priors, model=None), lookahead_us, ms)), told, 0.0, gains, {})
     if pairs is None:
         return LearnedPixels(model=prior, clock_offset_us=told, gains=gains, told=True)
-    every = pairs
-    if pairs.whole.mean() > LEAST_WHOLE:
-        pairs = pairs.part(pairs.whole)
+    every, whole = pairs, pairs.missing == 0
+    if whole.mean() > LEAST_WHOLE:
+        pairs = pairs.part(whole)
     fit = _with(fit, dead_s=dead_time(data), turn=turn_of(data))
     data = data.with_past(fit.model.numbers)
     fit = _fitted(data, pairs, priors, fit, before)
@@ -251,11 +247,12 @@ def learn(
     short = thinned(pairs.part(pairs.short), MOST_FURTHER)
     model = features.further_weights(data, short, model, fit.gains, fit.shift_us,
                             lookahead_us)
-    if not every.whole.all():
+    if not whole.all():
         # Light moves on where events are missing.
         rows = _rows(data, every, _with(fit, noise=model.noise))
-        model = model.replace(noise=fitted_noise(
-            rows, fit.model, rows.residual(fit.model)))
+        excess = np.minimum(rows.residual(fit.model)**2, 1) - rows.variance(model)
+        model = model.replace(missing=max(
+            float(excess[~whole].sum() / every.missing.sum()), 0.0))
     return LearnedPixels(model=model, clock_offset_us=fit.shift_us, gains=fit.gains,
                          sigmas=fit.sigmas, exposure_ms=ms)
 
@@ -288,7 +285,7 @@ def _fitted(
 
     first = tried(fit, (), 3)
     numbers = _numbers(priors, pairs)
-    starts = [tried(_changed(fit, shift_us=float(start)), (), 2, few)
+    starts = [tried(replace(fit, shift_us=float(start)), (), 2, few)
               for start in {*STARTS_US, clock_us}] if "shift" in numbers else []
     starts.sort(key=lambda one: one.per_row)
     apart = [one for one in starts              # of another minimum
@@ -297,7 +294,7 @@ def _fitted(
     likeliest = min([first, *starts], key=lambda one: one.per_row)
     effect = _design_effect(_rows(
         data, pairs, likeliest), likeliest.model)
-    first, *starts = (tried(_changed(one, effect=effect), (), 0)
+    first, *starts = (tried(replace(one, effect=effect), (), 0)
                       for one in (first, *starts))
     best, law, lag, clock = first, ["f0", "slope"], ["lag"], ["shift", "lag"]
     f0, slope = priors.bandwidth
@@ -328,7 +325,7 @@ def _fitted(
         if share > SURE:
             best = other
         elif share > 1 - SURE:
-            best, clock = tried(_changed(other, shift_us=told + share * off), lag), lag
+            best, clock = tried(replace(other, shift_us=told + share * off), lag), lag
     used = clock if best.shift_us else lag
     other = tried(best, [*used, *law])
     if other.cost < best.cost - EVIDENCE and _usual(priors, other.model, light):
@@ -355,7 +352,7 @@ def _fitted(
     if other.per_row < best.per_row - BETTER_REST:
         best = other
     if least <= best.shift_us <= most:
-        best, used = _changed(best, shift_us=told), lag
+        best, used = replace(best, shift_us=told), lag
     best = tried(best, used, among=every)
     sigmas = dict(_descended(data, pairs, priors, best, numbers, 1).sigmas)
     if "shift" in sigmas:
@@ -363,8 +360,8 @@ def _fitted(
         sigmas["shift"] = math.hypot(sigmas["shift"], between, (
             priors.bandwidth_sigma[0] * _lag_us(best.model.bandwidth, light)))
     # The lag belongs to the interpolation: the thresholds are fitted again without it.
-    best = _descended(data, every, priors, _changed(best, lag=0.0), {}, 3)
-    best = _changed(best, sigmas={**sigmas, **best.sigmas})
+    best = _descended(data, every, priors, replace(best, lag=0.0), {}, 3)
+    best = replace(best, sigmas={**sigmas, **best.sigmas})
     return _honest(data, every, priors, best)
 
 
@@ -403,7 +400,7 @@ def _honest(data: Sampled, pairs: Pairs, priors: Priors, fit: _Fit) -> _Fit:
     sigma = np.sqrt(new) * theta
     shared = common / by_data.max() * float(sigma.prod())
     cov = np.array([[sigma[0]**2, shared], [shared, sigma[1]**2]])
-    return _changed(_with(fit, theta=theta, theta_cov=cov), sigmas={
+    return replace(_with(fit, theta=theta, theta_cov=cov), sigmas={
         **fit.sigmas, "off": math.sqrt(new[0]), "on": math.sqrt(new[1])})
 
 
@@ -412,13 +409,13 @@ def _numbers(priors: Priors, pairs: Pairs) -> dict[str, _Number]:
     if priors.clock_us[1] > 0:
         every["shift"] = _Number(
             *priors.clock_us, CLOCK_STEP_US, lambda f: f.shift_us,
-            lambda f, x: _changed(f, shift_us=x))
+            lambda f, x: replace(f, shift_us=x))
     every["lag"] = _Number(
         *LAG, CLOCK_STEP_US / max(float(np.mean(pairs.gap_us)), 1.0),
-        lambda f: f.lag, lambda f, x: _changed(f, lag=x))
+        lambda f: f.lag, lambda f, x: replace(f, lag=x))
     ms = float(np.median(pairs.ms))
     mean, sigma = (dn / ms for dn in priors.black or (0.0, BLACK[1]))
-    if sigma > 0 and pairs.whole.all():
+    if sigma > 0 and not pairs.missing.any():
         every["black"] = _Number(
             mean, sigma, STEP * sigma, lambda f: f.model.black,
             lambda f, x: _with(f, black=max(x, 0.0)))
@@ -430,9 +427,9 @@ def _numbers(priors: Priors, pairs: Pairs) -> dict[str, _Number]:
 
 def _of_bandwidth(priors: Priors, i: int) -> _Number:
     """Return the logarithm of one of the two numbers of the bandwidth."""
+    sigma = priors.bandwidth_sigma[i]
     return _Number(
-        math.log(priors.bandwidth[i]), priors.bandwidth_sigma[i],
-        STEP * priors.bandwidth_sigma[i],
+        math.log(priors.bandwidth[i]), sigma, STEP * sigma,
         lambda f: math.log(f.model.bandwidth[i]),
         lambda f, x: _with(f, bandwidth=(
             *f.model.bandwidth[:i], math.exp(x), *f.model.bandwidth[i + 1:])))
@@ -444,7 +441,7 @@ def _descended(
     prior: Mapping[str, _Number] | None = None,
 ) -> _Fit:
     """Return the fit after Gauss-Newton steps in the thresholds and `free` numbers."""
-    fit = _changed(fit, cost=math.inf)
+    fit = replace(fit, cost=math.inf)
     best, before = fit, math.inf
     for turn in range(rounds + 1):
         rows = _rows(data, pairs, fit)
@@ -485,7 +482,7 @@ def _likelihood(
     total = (float(cost.sum()) + fit.of_gains) / effect + float(
         (((fit.model.theta - theta) / (priors.theta_sigma * theta)) ** 2).sum())
     total += sum(((one.get(fit) - one.mean) / one.sigma) ** 2 for one in free.values())
-    return _changed(fit, cost=total, per_row=(
+    return replace(fit, cost=total, per_row=(
         float(cost.sum()) + fit.of_gains) / len(cost))
 
 
@@ -526,7 +523,7 @@ def _with_gains(rows: Rows, fit: _Fit) -> _Fit:
     of_used = (1 + of_used) / (1 + mean[:, None]) - 1
     gains = np.zeros_like(fit.gains)
     gains[:, used] = of_used
-    return _changed(_with(fit, spread=spread, theta=fit.model.theta * (1 + mean)),
+    return replace(_with(fit, spread=spread, theta=fit.model.theta * (1 + mean)),
                     gains=gains, of_gains=of_gains)
 
 
@@ -580,7 +577,6 @@ def _step(
         fit = one.put(fit, float(value + change))
     fit = _with(fit, theta=np.maximum(model.theta + step[:2], 0.1 * theta),
                 theta_cov=cov[:2, :2])
-    found = dict(zip(free, sigma[2:].tolist(), strict=True))
-    return _changed(fit, sigmas={
-        **found, "off": float(sigma[0] / fit.model.theta[0]),
-        "on": float(sigma[1] / fit.model.theta[1])})
+    sigma[:2] /= fit.model.theta
+    return replace(fit, sigmas=dict(zip(
+        ("off", "on", *free), sigma.tolist(), strict=True)))

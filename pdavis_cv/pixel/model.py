@@ -74,6 +74,8 @@ class PixelModel:
         q of (2b) after a gap of unknown pace; default: on by half a threshold.
     noise : (float, float, float)
         alpha (per s), beta (per change) and gamma (per threshold) of (8), ln^2.
+    missing : float
+        Variance of (8) per s in which events are missing, ln^2.
     read_variance, shot : float
         Variance of a frame, DN^2, and its increase per DN.
     by_class : ndarray of float64, shape (2, GAP_CLASSES)
@@ -99,6 +101,7 @@ class PixelModel:
     dead_s: float = 0.0
     turn: float = 2 - math.sqrt(3)
     noise: tuple[float, float, float] = (0.02, 0.004, 0.001)
+    missing: float = 0.0
     read_variance: float = 25.0
     shot: float = 0.1
     by_class: NDArray[np.float64] = field(default_factory=_BY_CLASS)
@@ -203,15 +206,16 @@ class PixelModel:
         Raises
         ------
         KeyError
-            If a field is missing, but ``turn``, which older files have not.
+            If a field is missing, but those that older files have not.
         ValueError
             If a field is not finite or of another shape.
         """
         like = cls(theta=np.ones(2))
+        values = {"turn": like.turn, "missing": 0.0, **values}
         found: dict[str, Any] = {}
         for one in fields(cls):
             usual = getattr(like, one.name)
-            value = np.array({"turn": like.turn, **values}[one.name], float)
+            value = np.array(values[one.name], float)
             if value.shape != np.shape(usual) or not np.isfinite(value).all():
                 raise ValueError(f"model: {one.name} must be finite and have shape "
                                  f"{np.shape(usual)}, got {value.shape}")

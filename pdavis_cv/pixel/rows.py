@@ -1,7 +1,7 @@
 """The regression of a recording's increments: frames against what events say."""
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -57,10 +57,10 @@ class Pairs:
         (frame, begin and end), us.
     short : ndarray of bool, shape (N,)
         Whether the frames follow each other.
-    whole : ndarray of bool, shape (N,)
-        Whether no events are missing between them.
+    missing : ndarray of float64, shape (N,)
+        Time between them in which events are missing, s.
     gap_us : ndarray of float64, shape (N,)
-        Mean time between events of the pixel, of its whole rows; 0: it has none.
+        Mean time between events of the pixel, of rows without such; 0: it has none.
     """
 
     pixel: NDArray[np.int32]
@@ -69,15 +69,14 @@ class Pairs:
     ms: Floats
     exposure: NDArray[np.int64]
     short: NDArray[np.bool_]
-    whole: NDArray[np.bool_]
+    missing: Floats
     gap_us: Floats
 
     def part(self, keep: NDArray[np.bool_]) -> Pairs:
         """Return some of the rows."""
-        pair = np.unique(self.pair[keep], return_inverse=True)[1]
-        return Pairs(self.pixel[keep], pair, self.dn[:, keep], self.ms[:, keep],
-                     self.exposure[..., keep], self.short[keep], self.whole[keep],
-                     self.gap_us[keep])
+        every = {one.name: getattr(self, one.name)[..., keep] for one in fields(self)}
+        every["pair"] = np.unique(every["pair"], return_inverse=True)[1]
+        return Pairs(**every)
 
     @cached_property
     def seconds(self) -> Floats:
@@ -120,10 +119,7 @@ def pairs_of(data: Sampled, shift_us: float) -> Pairs | None:
                 found.append((a, b, span == 1, chosen))
     if not found:
         return None
-    silence = np.diff(data.t)
-    hole = silence * len(data.t) > MISSING * silence.sum()
-    hole &= silence > OF_INTERVAL * (mids[-1] - mids[0]) / (len(frames) - 1)
-    begins, ends = data.t[:-1][hole], data.t[1:][hole]
+    holes = holes_of(data.t, (mids[-1] - mids[0]) / (len(frames) - 1))
     most = min(MOST_PER_PAIR, MOST_ROWS // len(found))
     rows = []
     for number, (a, b, short, chosen) in enumerate(found):
@@ -134,13 +130,21 @@ def pairs_of(data: Sampled, shift_us: float) -> Pairs | None:
         rows.append((chosen.astype(np.int32), np.full(len(chosen), number),
                      np.stack([frames[k].dn[chosen] for k in (a, b)]),
                      np.where(ms > 0, ms, 1), exposure, np.full(len(chosen), short),
-                     np.full(len(chosen), np.searchsorted(ends, mids[a], "right")
-                             == np.searchsorted(begins, mids[b])),
+                     np.full(len(chosen), 1e-6 * (np.diff(
+                         np.clip(holes, mids[a], mids[b]), axis=0).sum())),
                      (counts[mids[b]] - counts[mids[a]])[chosen]))
     pairs = Pairs(*(np.concatenate(each, -1) for each in zip(*rows, strict=True)))
-    events, time = (np.bincount(pairs.pixel, pairs.whole * each) for each in (
+    events, time = (np.bincount(pairs.pixel, (pairs.missing == 0) * each) for each in (
         pairs.gap_us, np.diff(pairs.exposure.mean(1), axis=0)[0]))
     return replace(pairs, gap_us=(time / np.maximum(events, 1))[pairs.pixel])
+
+
+def holes_of(t_us: NDArray[np.int64], interval_us: float) -> list[NDArray[np.int64]]:
+    """Return begins and ends of where events are missing, for an interval of frames."""
+    silence = np.diff(t_us)
+    hole = (silence * len(t_us) > MISSING * silence.sum()) & (
+        silence > OF_INTERVAL * interval_us)
+    return [t_us[:-1][hole], t_us[1:][hole]]
 
 
 def thinned(pairs: Pairs, most: int) -> Pairs:
@@ -192,9 +196,8 @@ class Rows:
 
     def variance(self, model: PixelModel) -> Floats:
         """Return the variance of each row (8)."""
-        variance: Floats = self.frame_noise + np.array(
-            model.noise) @ self.noise_features(model)
-        return variance
+        variance: Floats = self.frame_noise + model.missing * self.pairs.missing
+        return variance + np.array(model.noise) @ self.noise_features(model)
 
     def rescaled(self, of_pixels: Floats, of_all: Floats) -> Rows:
         """Return the regression at other gains and thresholds, to first order.

@@ -21,6 +21,7 @@ from pdavis_cv._checks import (
 from pdavis_cv._types import Events, Parameters, Records, State
 from pdavis_cv.events import FAR, checked_time, timed_events
 from pdavis_cv.pixel.model import AROUND_S, PAST_S, PixelModel
+from pdavis_cv.pixel.rows import holes_of
 from pdavis_cv.reconstruct.base import (
     WHOLE_SENSOR,
     Estimate,
@@ -31,8 +32,10 @@ from pdavis_cv.reconstruct.base import (
 from pdavis_cv.reconstruct.kalman.frames import (
     ANCHOR_DTYPE,
     COURSE_DTYPE,
+    NO_HOLE,
     NODE_DTYPE,
     SHOWN_DTYPE,
+    Hole,
     Waiting,
     between,
     thresholds_of,
@@ -104,6 +107,7 @@ class KalmanFilter(Reconstructor):
     margin = WHOLE_SENSOR
     lookahead_us: int
     _sight: tuple[Any, ...]
+    _grows: tuple[Hole, float]
 
     def __init__(
         self, shape: Sequence[int], *, theta_on: ArrayLike, theta_off: ArrayLike,
@@ -143,9 +147,8 @@ class KalmanFilter(Reconstructor):
 
     @property
     def _model(self) -> PixelModel:
-        if self._given is not None:
-            return self._given
-        return PixelModel(theta=np.array([float(np.mean(t)) for t in self._theta]))
+        return self._given or PixelModel(
+            theta=np.array([float(np.mean(t)) for t in self._theta]))
 
     def _begin(self) -> None:
         """Create the state of a filter to which nothing has been fed."""
@@ -411,6 +414,17 @@ class KalmanFilter(Reconstructor):
         self._evaluate(frame, self._awake, (before_us is not None, same))
         self._back, self._fresh = None, False
 
+    def _hole(self, first_us: int, last_us: int, known_us: int) -> Hole:
+        """Return where events are missing between two times, as known at a third."""
+        if not self._model.missing:
+            return NO_HOLE
+        t, start_us = self._store.events["t"], max(first_us, known_us - 2 * _LATE_US)
+        begin, end = np.searchsorted(t[:self._store.stop], (start_us, known_us + 1))
+        begins, ends = holes_of(
+            np.append(t[max(begin - 1, 0):end], known_us), last_us - first_us)
+        return (max(begins[0], first_us), min(ends[-1], last_us), self._model.missing
+                / self._model.noise[0]) if len(begins) else NO_HOLE
+
     def _evaluate(self, frame: Waiting, pixels: NDArray[np.int32],
                   again: tuple[bool, bool] = (False, False)) -> None:
         assert frame.known_us is not None
@@ -422,6 +436,7 @@ class KalmanFilter(Reconstructor):
 
     def _differ(self, old: Waiting, new: Waiting) -> None:
         """Set what other times and pixels say of the time between two frames."""
+        new.hole = self._hole(old.mid_us, new.mid_us, new.end_us)
         if new.around is None or old.around is None:
             new.sample[2] = 0
             return
@@ -490,22 +505,30 @@ class KalmanFilter(Reconstructor):
                 self._look(frame, self._usable_us(frame))
         if self._back is None or self._backs != len(later):
             self._join(later)
-        fresh = not self._fresh
+        anchor = self._frames[0] if self._passed else None
+        hole = NO_HOLE if anchor is None else later[0].hole if later else self._hole(
+            anchor.mid_us, t, seen)
+        grows = hole, 1 + hole[2] * (hole[0] <= t < hole[1])
+        fresh = not self._fresh or grows != self._grows
+        self._grows = grows
+        numbers = self._numbers
+        if grows[1] > 1:
+            alpha, *others = self._model.noise
+            numbers = self._model.replace(noise=(grows[1] * alpha, *others)).numbers
         if fresh:
-            anchor = self._frames[0] if self._passed else None
             self._sight = (*between(
-                anchor, later, self._ended, self.shape, t), self._anchors,
+                anchor, later, self._ended, self.shape, t, hole), self._anchors,
                            self._back, next((f.mid_us for f in self._frames), t))
             self.workers.rows(
                 self.shape[0], lambda *rows: _kernels.increments_rest_planes(
-                    self._sight, self._numbers, self._planes, rows))
+                    self._sight, numbers, self._planes, rows))
         around = self._around if self._model.looks_around else None
         if around is not None and self._courses is None:
             self._courses = np.empty(self.shape, COURSE_DTYPE)
         store, awake = self._store, self._awake
         self.workers.rows(len(awake), lambda first, last: _kernels.increments_move(
             store.pixels, store.events, self._sight, (t, seen, fresh), self._lamp.waves,
-            self._numbers, awake, store.due, self._shown, self._courses, self._planes,
+            numbers, awake, store.due, self._shown, self._courses, self._planes,
             around, (first, last)), row_ns=_PIXEL_NS)
         if fresh:
             self._unknown = np.flatnonzero(self._planes[2] == _UNKNOWN)

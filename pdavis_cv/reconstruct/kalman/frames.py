@@ -33,6 +33,10 @@ COURSE_DTYPE = np.dtype([
 """Records of _kernels/_increments.pxd, which says what their fields are."""
 
 
+Hole = tuple[float, float, float]   # see Waiting
+NO_HOLE = 0.0, 0.0, 0.0
+
+
 class Waiting:
     """A frame, and what the events say in its exposure.
 
@@ -68,6 +72,9 @@ class Waiting:
         self.after_us: int | None = None    # the frame before
         self.known_us: int | None = None    # up to which events have been looked at
         self.lit = False        # whether the lamp's ripple is in the nodes
+        # Since the frame before: begin and end (us) of where events are missing, and by
+        # how much more noise (8) grows there.
+        self.hole: Hole = NO_HOLE
         self.set_model(model)
 
     def set_model(self, model: PixelModel) -> None:
@@ -83,7 +90,7 @@ class Waiting:
     def arrays(self) -> tuple[object, ...]:
         """As kernels take them."""
         return (self.nodes, self.sample, self.gains, self.times, self.samples,
-                self.around)
+                self.around, 1e-6 * self.hole[2] * (self.hole[1] - self.hole[0]))
 
     def copy(self) -> Waiting:
         """Return an independent copy."""
@@ -95,19 +102,24 @@ class Waiting:
 
 def between(
     before: Waiting | None, later: list[Waiting], ended: Records,
-    shape: tuple[int, int], t_us: int,
+    shape: tuple[int, int], t_us: int, hole: Hole,
 ) -> tuple[object, object, Records, NDArray[np.float64], bool]:
     """Return frames before and after a time, as kernels take them, and their middles.
 
-    A frame before that is not there has no sample.  Last is whether only one is after.
+    A frame before that is not there has no sample.  Middles are (2, W), and where they
+    would be if noise grew all along as at t_us.  Last is whether only one is after.
     """
     here = np.full(shape[1], t_us)
     middles = np.stack([here if before is None else before.times[2],
                         later[0].times[2] if later else here]).astype(np.float64)
+    begin, end, more = hole
+    grown = more * (np.clip(middles, begin, end) - min(max(t_us, begin), end))
+    here = (middles - t_us + grown) / (1 + more * (begin <= t_us < end))
+    middles = np.concatenate([middles, t_us + here])
     arrays = (
         np.zeros(shape, NODE_DTYPE), np.zeros((3, *shape), np.float32),
         np.zeros((*shape, 2), np.float32), np.zeros((3, shape[1]), np.int64), 1,
-        later[0].around if later else np.zeros((3, *shape))
+        later[0].around if later else np.zeros((3, *shape)), 0.0
     ) if before is None else before.arrays
     return arrays, later[0].arrays if later else None, ended, middles, len(later) < 2
 
