@@ -268,7 +268,8 @@ class Filter:
         t = [*self.t[max(i - 1, 0):j], known]
         found = [(a, b) for a, b in itertools.pairwise(t) if (
             (b - a) * len(t) > 30 * (known - t[0]) and b - a > 0.2 * (last - first))]
-        return (max(found[0][0], first), min(found[-1][1], last)) if found else (0, 0)
+        return [min(max(one, first), last) for one in (
+            found[0][0], found[-1][1])] if found else (0, 0)
 
     def even(self, t, before, after, middles):
         """Noise per s (8) at t, and where middles would be if it grew so all along."""

@@ -422,8 +422,10 @@ class KalmanFilter(Reconstructor):
         begin, end = np.searchsorted(t[:self._store.stop], (start_us, known_us + 1))
         begins, ends = holes_of(
             np.append(t[max(begin - 1, 0):end], known_us), last_us - first_us)
-        return (max(begins[0], first_us), min(ends[-1], last_us), self._model.missing
-                / self._model.noise[0]) if len(begins) else NO_HOLE
+        if not len(begins):
+            return NO_HOLE
+        begin, end = np.clip((begins[0], ends[-1]), first_us, last_us).tolist()
+        return begin, end, self._model.missing / self._model.noise[0]
 
     def _evaluate(self, frame: Waiting, pixels: NDArray[np.int32],
                   again: tuple[bool, bool] = (False, False)) -> None:
